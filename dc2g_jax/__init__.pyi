@@ -1,7 +1,7 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
 # Make, run, compare.
-from ._src.planning.named import make as make
+from ._src.planning.named import make_planner as make_planner
 from ._src.planning.named import PLANNERS as PLANNERS
 from ._src.rollouts.evaluation import evaluate as evaluate
 from ._src.rollouts.evaluation import Results as Results
@@ -9,45 +9,54 @@ from ._src.rollouts.evaluation import EpisodeResult as EpisodeResult
 from ._src.training.train import train as train
 from ._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from ._src.training.cost_to_go_data import DataConfig as DataConfig
-from ._src.inspection.figures import plot_results as plot_results
+from ._src.figures.results_figures import plot_results as plot_results
 from ._src.planning.online import OnlinePlanner as OnlinePlanner
 from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner
 from ._src.planning.metric_map import MetricMap as MetricMap
-from ._src.grid.map_frame import MapFrame as MapFrame
-from ._src.objectnav.online import OnlineSearcher as OnlineSearcher
+from ._src.search_indoors.search.online import OnlineSearcher as OnlineSearcher
 from ._src.environments.task import make_env as make_env
 from ._src.rollouts.devices import use_cores as use_cores
-from ._src.estimation.hub import load as load
-from ._src.estimation.hub import push as push
+from ._src.estimation.hub import load_network as load_network
 
 # Write a planner or an estimator.
 from ._src.planning.planners import Planner as Planner
 from ._src.planning.planners import Plan as Plan
+from ._src.planning.planners import Frontier as Frontier
+from ._src.planning.planners import DC2G as DC2G
 from ._src.estimation.estimators import Estimator as Estimator
 from ._src.rollouts.checks import check_planner as check_planner
 from ._src.rollouts.checks import check_estimator as check_estimator
 from ._src.planning.rules import Rules as Rules
 from ._src.planning.rules import SETTINGS as SETTINGS
-from ._src.programs import jit as jit
 
 # Houses and starts.
-from ._src.datasets.houses import open_dataset as open_dataset
-from ._src.datasets.houses import procedural_dataset as procedural_dataset
-from ._src.datasets.maps import read_map as read_map
-from ._src.datasets.starts import sample_starts as sample_starts
-from ._src.datasets.houses import HouseDataset as HouseDataset
-from ._src.datasets.houses import House as House
-from ._src.datasets.starts import Start as Start
+from ._src.readers.houses import open_dataset as open_dataset
+from ._src.readers.maps import read_map as read_map
+from ._src.readers.starts import sample_starts as sample_starts
+from ._src.readers.houses import HouseDataset as HouseDataset
+from ._src.readers.houses import House as House
+from ._src.readers.starts import Start as Start
 
 # The gridworld.
 from ._src.grid.world import World as World
-from ._src.grid.world import world_from_terrain as world_from_terrain
 from ._src.grid.gridworld import Belief as Belief
 from ._src.grid.gridworld import reset as reset
 from ._src.grid.gridworld import step as step
 from ._src.grid.poses import make_pose as make_pose
 from ._src.rollouts.rollout import rollout as rollout
 from ._src.errors import InputError as InputError
+
+# More, in modules.
+from . import datasets as datasets
+from . import environments as environments
+from . import estimation as estimation
+from . import grid as grid
+from . import gymnasium as gymnasium
+from . import inspection as inspection
+from . import planning as planning
+from . import rollouts as rollouts
+from . import search_indoors as search_indoors
+from . import training as training
 
 __version__: str

@@ -1,6 +1,5 @@
 """Estimators of the cost-to-go, networks and their files."""
 
-from dc2g_jax._src.estimation.checkpoints import load_network as load_network
 from dc2g_jax._src.estimation.compact_unet import Architecture as Architecture, CompactUNet as CompactUNet
 from dc2g_jax._src.estimation.estimators import (
     Estimator as Estimator,
@@ -8,11 +7,7 @@ from dc2g_jax._src.estimation.estimators import (
     NetworkCostToGo as NetworkCostToGo,
     world_cost_to_go as world_cost_to_go,
 )
-from dc2g_jax._src.estimation.extents import (
-    CroppedEstimator as CroppedEstimator,
-    WindowedEstimator as WindowedEstimator,
-)
-from dc2g_jax._src.estimation.hub import load as load, push as push
+from dc2g_jax._src.estimation.hub import load_network as load_network, push as push
 from dc2g_jax._src.estimation.weights import (
     read_safetensors as read_safetensors,
     read_weights as read_weights,

@@ -28,4 +28,4 @@ from dc2g_jax._src.grid.terrain import (
     TRAVERSABLE as TRAVERSABLE,
     UNKNOWN as UNKNOWN,
 )
-from dc2g_jax._src.grid.world import World as World, world_from_terrain as world_from_terrain
+from dc2g_jax._src.grid.world import World as World

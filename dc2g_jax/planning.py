@@ -5,7 +5,7 @@ from dc2g_jax._src.planning.decisions import Decision as Decision
 from dc2g_jax._src.planning.guarantee import Guaranteed as Guaranteed
 from dc2g_jax._src.planning.metric import MetricDecision as MetricDecision, MetricPlanner as MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap as MetricMap, MetricPose as MetricPose
-from dc2g_jax._src.planning.named import PLANNERS as PLANNERS, make as make, make_planner as make_planner
+from dc2g_jax._src.planning.named import PLANNERS as PLANNERS, make_planner as make_planner
 from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner
 from dc2g_jax._src.planning.planners import (
     DC2G as DC2G,

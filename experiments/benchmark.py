@@ -11,10 +11,10 @@ import jax
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.readers.houses import open_dataset
 
 from .benchmarks import figures, machine, report
 from .benchmarks.accelerator import accelerator_rows
@@ -111,7 +111,7 @@ def main(options: Options) -> None:
         per_house=1 if options.quick else options.starts_per_house,
         most_houses=4 if options.quick else None,
     )
-    network = load(options.network)
+    network = load_network(options.network)
     if not isinstance(network, NetworkCostToGo):
         raise InputError(f"{options.network}: is no compact network; the benchmark measures that kind alone")
     out = output_folder(options, "benchmark")

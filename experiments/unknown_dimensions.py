@@ -15,24 +15,24 @@ from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax._src.datasets.procedural import draw_neighborhood
-from dc2g_jax._src.datasets.procedural.suburbs import SUBURBS
-from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.extents import CroppedEstimator, Window, WindowedEstimator
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import UNKNOWN
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.procedural import draw_neighborhood
+from dc2g_jax._src.procedural.suburbs import SUBURBS
+from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import summarize
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 
 from .benchmarks.decisions import milliseconds
+from .benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
 
 #: Seeds of the procedural houses and neighborhoods of a split. Training uses smaller ones.
 SEEDS = {"val": 10_000, "test": 10_001}
@@ -121,14 +121,14 @@ def main(options: Options) -> None:
         raise InputError("give --starts-per-house, --doors and --windows of at least 1, and --cells of at least 50")
     if min(options.drawn, options.rows) < 0:
         raise InputError(f"--drawn {options.drawn}, --rows {options.rows}: give 0 or more maps")
-    network = load(options.network)
+    network = load_network(options.network)
     estimators = estimators_by_planner(network, options.windows)
     dataset = open_dataset(options.dataset)
     worlds = all_worlds(options, dataset)
     out = output_folder(options, "unknown_dimensions", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
     planners: dict[str, PlannerSource] = {"frontier": "frontier"}
-    planners |= {name: functools.partial(make_planner, "dc2g", estimator=one) for name, one in estimators.items()}
+    planners |= {name: functools.partial(planner_with, "dc2g", estimator=one) for name, one in estimators.items()}
     facts: dict[str, dict[str, Any]] = {}
     for name, (houses, starts) in worlds.items():
         maps = HouseDataset(name, "folder", tuple(houses))

@@ -113,7 +113,7 @@ def golden_grids(shared: Path) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="session")
 def published_dataset(shared: Path):
     """The published houses, read from their images."""
-    from dc2g_jax._src.datasets.houses import load_dataset
+    from dc2g_jax._src.readers.houses import load_dataset
 
     return load_dataset(PUBLISHED)
 
@@ -121,18 +121,9 @@ def published_dataset(shared: Path):
 @pytest.fixture(scope="session")
 def street() -> np.ndarray:
     """Two doors on a street, each behind its own path or driveway; no symmetry."""
-    from tests.support.maps import drawn
+    from tests.support.houses import STREET
 
-    return drawn("""
-        ##D#..t...
-        ..P..##D#.
-        ..P..##d#.
-        SSPSSSSdSS
-        RRRRRRRRRR
-        RRRRRRRRRR
-        SSSSSSSSSS
-        .t...#....
-    """)
+    return STREET
 
 
 @pytest.fixture(scope="session")

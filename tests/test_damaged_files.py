@@ -24,31 +24,31 @@ from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
 from dc2g_jax._src.cli.outputs import _read_run
-from dc2g_jax._src.datasets._download import read_manifest
-from dc2g_jax._src.datasets.houses import load_dataset, map_dataset
-from dc2g_jax._src.datasets.maps import Goal, read_map
-from dc2g_jax._src.datasets.osm.extract import read_extract
-from dc2g_jax._src.datasets.osm.neighborhood import Neighborhood
-from dc2g_jax._src.datasets.starts import read_starts
 from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
-from dc2g_jax._src.estimation.checkpoints import load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
-from dc2g_jax._src.objectnav._procthor import read_procthor
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
-from dc2g_jax._src.objectnav.networks import (
+from dc2g_jax._src.osm.extract import read_extract
+from dc2g_jax._src.osm.neighborhood import Neighborhood
+from dc2g_jax._src.readers._download import read_manifest
+from dc2g_jax._src.readers.houses import load_dataset, map_dataset
+from dc2g_jax._src.readers.maps import Goal, read_map
+from dc2g_jax._src.readers.starts import read_starts
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
+from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
+from dc2g_jax._src.search_indoors.learning.networks import (
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,
-    load_estimator,
-    save_estimator,
+    load_costs,
+    save_costs,
 )
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
-from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.training.cost_to_go_data import check_masks
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.mask_collection import Masks
@@ -149,13 +149,9 @@ def write_compact(folder: Path) -> None:
 def write_indoor(folder: Path) -> None:
     architecture = CostMapArchitecture(widths=(3, 4), embedding=2, features=3, feature_width=3)
     estimator = CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture)
-    save_estimator(folder / "network.safetensors", estimator, {})
-
-
-def write_encoder(folder: Path) -> None:
-    architecture = EncoderArchitecture((2, 2, 2), features=3)
-    weights = fresh_weights(SmallEncoder, architecture, KEY)
-    write_network(folder / "encoder.safetensors", weights, architecture, {})
+    small = EncoderArchitecture((2, 2, 2), features=3)
+    write_network(folder / "encoder.safetensors", fresh_weights(SmallEncoder, small, KEY), small, {})
+    save_costs(folder, estimator, {})
 
 
 def write_run(folder: Path) -> None:
@@ -238,13 +234,8 @@ READERS = (
         read_recording,
     ),
     Reader(("starts.csv",), write_starts, lambda folder: read_starts(folder / "starts.csv", DATASET)),
-    Reader(("network.json", "weights.safetensors"), write_compact, load_network, slow=True),
-    Reader(
-        ("network.safetensors",), write_indoor, lambda folder: load_estimator(folder / "network.safetensors"), slow=True
-    ),
-    Reader(
-        ("encoder.safetensors",), write_encoder, lambda folder: load_encoder(folder / "encoder.safetensors"), slow=True
-    ),
+    Reader(("network.json", "weights.safetensors"), write_compact, network_in_folder, slow=True),
+    Reader(("network.safetensors", "encoder.safetensors"), write_indoor, load_costs, slow=True),
     Reader(("run.json",), write_run, _read_run),
     Reader(("log.jsonl",), write_log, lambda folder: Log(folder).by_step(None, ("error",))),
     Reader(("curve.csv",), write_curve, lambda folder: Curve(folder, ("a", "b"))),

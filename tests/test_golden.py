@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start, published_episodes
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import belief_of
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start, published_episodes
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.statistics import extra_steps
 
@@ -60,7 +60,7 @@ def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_r
     planner = Frontier(rules)
 
     def look(terrain, seen, x, y, heading):
-        world = world_from_terrain(terrain)
+        world = World.from_terrain(terrain)
         belief = belief_of(world, make_pose(x, y, heading), jnp.int32(0), bitboard.pack(seen))
         plan, reachable = planner.plan(belief, planner.init(world))
         expanding = rules.frontier_expanding(belief, reachable)

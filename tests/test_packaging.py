@@ -1,7 +1,12 @@
 """What the packaging files say of each other."""
 
+import ast
+import json
 import re
+import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 import yaml
@@ -49,3 +54,22 @@ def test_the_version_is_the_same_everywhere():
     first = re.search(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)
     assert first is not None
     assert first[1] == read("CITATION.cff")["version"] == PROJECT["version"]
+
+
+def undefined_names(folder) -> list[str]:
+    """Names that the linter does not find, apart from those in strings: shapes of arrays are written as such."""
+    command = [sys.executable, "-m", "ruff", "check", "--isolated", "--select=F821", "--output-format=json", "-e"]
+    wrong = json.loads(subprocess.run([*command, str(folder)], capture_output=True, check=True).stdout)
+    undefined = []
+    for found in wrong:
+        place, tree = found["location"], ast.parse(Path(found["filename"]).read_text())
+        names = {(node.lineno, node.col_offset + 1) for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        if (place["row"], place["column"]) in names:
+            undefined.append(f"{found['filename']}:{place['row']}")
+    return undefined
+
+
+def test_names_are_defined(tmp_path):
+    assert undefined_names(ROOT) == []
+    (tmp_path / "wrong.py").write_text('x: Float["h w"] = there_is_no_such_name\n')
+    assert undefined_names(tmp_path) == [f"{tmp_path / 'wrong.py'}:1"] * 2

@@ -125,6 +125,8 @@ def _called(function: Callable[..., _Result], program: Any, args: Any, **attribu
     def call(*args: Any) -> _Result:
         return jax.tree.map(functools.partial(set_xla_metadata, inlineable="false", **attributes), program(*args))
 
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
+        return function(*args)  # not within a program
     return jax.lax.platform_dependent(*args, cpu=call, default=function)
 
 

@@ -11,18 +11,18 @@ import jax
 import numpy as np
 
 from dc2g_jax._src.cli.translation import TranslationOptions
-from dc2g_jax._src.datasets.houses import HouseDataset
-from dc2g_jax._src.datasets.starts import published_episodes, sample_starts
-from dc2g_jax._src.objectnav.agent import Agent
-from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.named import agent_with, open_costs
-from dc2g_jax._src.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import HouseDataset
+from dc2g_jax._src.readers.starts import published_episodes, sample_starts
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.rollout import rollout
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import Agent
+from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.image_pairs import draw_image_pairs, image_set
 from dc2g_jax._src.training.step import supervised_step
@@ -143,12 +143,12 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     )
     mesh = mesh_for_batch(config.batch_size)
     training = TranslatorTraining(config, draw)
-    state, pairs = replicate((first_state(config, seed=0), (run_key(0), data)), mesh)
+    state, pairs = replicate((first_state(config, seed=0), data), mesh)
 
     def train() -> jax.Array:
         nonlocal state
         for _ in range(steps):
-            state, loss = supervised_step(state, pairs, training=training, mesh=mesh)
+            state, loss = supervised_step(state, pairs, run_key(0), training=training, mesh=mesh)
         return loss
 
     measured = bench.measure(train)

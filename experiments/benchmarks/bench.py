@@ -7,7 +7,7 @@ from typing import Any
 
 from dc2g_jax._src.environments.functional import SENSING_RANGE
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
 
@@ -49,7 +49,7 @@ class Bench:
 
     def planner(self, name: str, sensing_range: int = SENSING_RANGE) -> Planner:
         """A planner by name."""
-        return make_planner(name, self.rules(sensing_range), self.network)
+        return planner_with(name, self.rules(sensing_range), self.network)
 
     @functools.cached_property
     def _led_by_frontier(self) -> Robots:

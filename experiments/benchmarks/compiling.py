@@ -82,5 +82,5 @@ def program_rows(bench: Bench) -> Iterator[Row]:
     for what, program in programs.items():
         yield _row(bench, what, batch, program)
     config = TrainingConfig(batch_size=8 if bench.quick else TrainingConfig.batch_size)
-    gradient = training_program("gradient", 1, mesh_of(jax.devices()[:1]), config=config, cells=bench.workload.cells)
+    gradient = training_program("learn", 1, mesh_of(jax.devices()[:1]), config=config, cells=bench.workload.cells)
     yield _row(bench, "gradient of a training step", config.batch_size, functools.partial(_compiled, gradient))

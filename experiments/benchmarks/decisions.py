@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.datasets.houses import House
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 
 from .timing import measure
@@ -52,7 +52,7 @@ def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Ite
     step = jit(functools.partial(gridworld.step, sensing=sensing))
     terrain = {house.name: house.terrain for house in workload.houses}
     for start in itertools.cycle(workload.starts):
-        world = world_from_terrain(terrain[start.house])
+        world = World.from_terrain(terrain[start.house])
         belief = reset(world, make_pose(start.x, start.y, start.heading))
         for _ in range(STEP_LIMIT):
             grid, pose = np.asarray(belief.terrain), jax.device_get(belief.pose)

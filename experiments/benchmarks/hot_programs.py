@@ -1,6 +1,7 @@
 """The programs that take the time, by the shapes of their arguments: to be compiled without any data."""
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -10,26 +11,26 @@ from jax.sharding import Mesh, PartitionSpec as P
 
 from dc2g_jax._src.cli.driving import DrivingOptions, equipment
 from dc2g_jax._src.cli.translation import TranslationOptions
-from dc2g_jax._src.datasets.pairs import TrainingSet
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping.scene import TILES, Scene
-from dc2g_jax._src.objectnav import searches
-from dc2g_jax._src.objectnav.named import agent_with, open_costs
-from dc2g_jax._src.objectnav.simulation import IndoorSite, leg
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
-from dc2g_jax._src.rollouts.devices import AXIS
+from dc2g_jax._src.rollouts.devices import AXIS, RUNS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.search_indoors.search import searches
+from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.searches import IndoorSite, leg
 from dc2g_jax._src.training import cost_to_go, translator
-from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.training.pairs import TrainingSet
+from dc2g_jax._src.training.step import Supervised, draw_batches, learn
 from dc2g_jax._src.vehicles import fleet, robot
 from dc2g_jax._src.vehicles.drive import Site, step
 from dc2g_jax._src.vehicles.robot import Step
@@ -37,8 +38,8 @@ from dc2g_jax._src.vehicles.robot import Step
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
 _CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64
 
-#: The programs of an optimizer step; the gradient is by far the most of it.
-StepPart = Literal["draw", "gradient", "update"]
+#: The programs of an optimizer step; the second is by far the most of it.
+StepPart = Literal["draw", "learn"]
 _PARTS_OF_A_STEP: tuple[StepPart, ...] = get_args(StepPart)
 
 #: Arguments of which each device has its own part, and those that all have.
@@ -85,7 +86,7 @@ def rollout_loop(
       cells: side of the houses.
       houses: how many.
     """
-    worlds = jax.eval_shape(world_from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
+    worlds = jax.eval_shape(World.from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
     each, static = _array(mesh.size, robots), {"mesh": mesh, "sensing": rules.sensing}
     first = functools.partial(rollout._first_states, n_slots=robots, kept_steps=STEP_LIMIT, **static)
     queues, states = jax.eval_shape(first, planner, worlds, Episodes(each, Pose(each, each, each)), _array(mesh.size))
@@ -102,23 +103,37 @@ def rollout_loop(
 
 def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
     rules = SETTINGS["paper"].rules()
-    return rollout_loop(make_planner(name, rules, load_network(None)), rules, robots, mesh)
+    return rollout_loop(planner_with(name, rules, network_in_folder(None)), rules, robots, mesh)
+
+
+def _step_program(
+    part: StepPart, training: Supervised, data: Any, state: Any, hyperparameters: Any, mesh: Mesh, batch: int
+) -> HotProgram:
+    """One of the two programs of an optimizer step."""
+    runs, pairs = (P("runs"), P("runs", AXIS)) if state.step.ndim else (_WHOLE, _DEALT)
+    static = {"training": training, "mesh": mesh}
+    draw = HotProgram(draw_batches, (state, data, hyperparameters), (runs, _WHOLE, runs), static, batch, mesh)
+    if part == "draw":
+        return draw
+    drawn = jax.eval_shape(functools.partial(draw_batches, **static), *draw.arguments)
+    return HotProgram(learn, (state, drawn, hyperparameters), (runs, pairs, runs), {"training": training}, batch, mesh)
 
 
 def training_program(
-    part: StepPart, runs: int, mesh: Mesh, *, config: TrainingConfig | None = None, cells: int = _CELLS
+    part: StepPart, runs: int, devices: Mesh, *, config: TrainingConfig | None = None, cells: int = _CELLS
 ) -> HotProgram:
-    """One of the three programs of an optimizer step of the cost-to-go network.
+    """One of the two programs of an optimizer step of the cost-to-go network.
 
     Args:
       part: which of them.
       runs: stacked ones, or 1.
-      mesh: the devices.
+      devices: a mesh of the devices.
       config: of each run; the default where `None`.
       cells: side of the houses.
     """
-    config = config or TrainingConfig()
-    layout, worlds = cost_to_go._layout(mesh, runs), _HOUSES + DataConfig.extra_houses
+    config, worlds = config or TrainingConfig(), _HOUSES + DataConfig.extra_houses
+    groups = math.gcd(runs, devices.size)
+    mesh = Mesh(devices.devices.reshape(groups, -1), (RUNS, AXIS))
     data = TrainingSet(
         terrain=_array(worlds, cells, cells, dtype=jnp.uint8),
         cost_to_go=_array(worlds, cells, cells, dtype=jnp.float32),
@@ -128,25 +143,9 @@ def training_program(
     )
     init = functools.partial(cost_to_go.init_state, config.recipe)
     one = jax.eval_shape(lambda numbers: (init(numbers), numbers), config.hyperparameters)
-    stacked = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
-    own_runs, own_parts = _array(runs // layout.shape["runs"]), _array(cost_to_go._own_parts(config.recipe, layout))
-    split, dealt = P("runs") if runs > 1 else _WHOLE, P("runs", "parts")
-    static = {"layout": layout, "recipe": config.recipe}
-    batch = runs if runs > 1 else config.batch_size
-
-    def part_of_step(program: Any, argument: Any, spec: P, *rest: Any, **more: Any) -> HotProgram:
-        """All three have the state first, and numbers that every device has last."""
-        specs = (split, split, spec, *(_WHOLE for _ in rest))
-        return HotProgram(program, (*stacked, argument, *rest), specs, {**static, **more}, batch, layout)
-
-    def result(hot: HotProgram) -> Any:
-        return jax.eval_shape(functools.partial(hot.program, **hot.static), *hot.arguments)
-
-    draw = part_of_step(cost_to_go._draw, data, _WHOLE, own_runs, own_parts, draw_batch=DataConfig().draw_batch)
-    if part == "draw":
-        return draw
-    gradient = part_of_step(cost_to_go._gradient, result(draw), dealt, own_runs)
-    return gradient if part == "gradient" else part_of_step(cost_to_go._update, [[result(gradient)]], dealt)
+    state, numbers = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
+    training = CostToGoTraining(config.recipe, DataConfig().draw_batch)
+    return _step_program(part, training, data, state, numbers, mesh, runs if runs > 1 else config.batch_size)
 
 
 def _translator_step(mesh: Mesh) -> HotProgram:
@@ -165,9 +164,8 @@ def _translator_step(mesh: Mesh) -> HotProgram:
     )
     state = jax.eval_shape(functools.partial(translator.first_state, config, seed=0))
     key = jax.eval_shape(functools.partial(translator.run_key, 0))
-    static = {"training": translator.TranslatorTraining(config, draw), "mesh": mesh}
-    specs = (_WHOLE, _WHOLE)
-    return HotProgram(supervised_step, (state, (key, data)), specs, static, config.batch_size, mesh)
+    training = translator.TranslatorTraining(config, draw)
+    return _step_program("learn", training, data, state, key, mesh, config.batch_size)
 
 
 def _scene(houses: int, side: int) -> Scene:
@@ -187,16 +185,16 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        known=None,
+        guide=None,
     )
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.at_start, number=searches.TIME_LIMIT)
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
     state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
     return _robots_steps(leg, each, sites, agent, state, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
-    equipped, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
+    equipped, n = equipment("dc2g", network_in_folder(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
     begin = functools.partial(robot.at_starts, mesh=mesh, reset=fleet.at_start, number=0)

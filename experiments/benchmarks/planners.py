@@ -15,9 +15,9 @@ import numpy as np
 from flax import struct
 
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.figures.replay import actions_from_letters
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.inspection.replay import actions_from_letters
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.rollouts.devices import cores
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, rollout
 from tests.oracles import numpy_gridworld
@@ -146,7 +146,7 @@ def _with_network_pace(bench: Bench, row: Row) -> Row:
     """How much of the pace the network alone would allow a DC2G rollout keeps: an extra run counts its maps."""
     maps: list[int] = []
     counting = _Counting(bench.network, lambda count: maps.append(int(count)))
-    planner = make_planner("dc2g", bench.rules(), counting)
+    planner = planner_with("dc2g", bench.rules(), counting)
     workload = bench.workload
     done = rollout(planner, workload.worlds, workload.episodes, sensing=bench.rules().sensing, keep_actions=False)
     jax.effects_barrier()

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from rerun.chunk import RrdReader
 
-from dc2g_jax._src.datasets.houses import HouseDataset
-from dc2g_jax._src.inspection.recording import record_frames
-from dc2g_jax._src.inspection.replay import Frames, replay_result
+from dc2g_jax._src.figures.replay import Frames, replay_result
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.evaluation import Runner
+from dc2g_jax._src.viewer.recording import record_frames
 
 from .bench import SENSING_RANGE, Bench, own
 from .rows import Row

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax._src.datasets.starts import Start, sample_starts, why_no_episode
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.grid.poses import FORWARD
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
+from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 
@@ -48,7 +48,7 @@ def main() -> None:
     dataset = open_dataset(options.dataset)
     houses = [house for house in dataset.houses if house.split == "test" and why_no_episode(house) is None]
     starts = sample_starts(houses, options.starts_per_house, seed=0)
-    network = load_network()
+    network = network_in_folder()
     print("turns mirror " + " ".join(f"{name:>9}" for name in PLANNERS))
     means = []
     for mirror in (False, True):

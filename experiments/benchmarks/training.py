@@ -2,18 +2,20 @@
 
 import functools
 from collections.abc import Callable, Collection, Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax._src.datasets.pairs import TrainingSet
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
-from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig, first_state
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.pairs import TrainingSet
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
 
 from .bench import Bench, own
@@ -50,20 +52,22 @@ def training_rows(
       steps: optimizer steps of each run in a call. An accelerator is given the next step before one has ended.
     """
     n_runs = n_runs or (2 if bench.quick else 6)
-    data, batch = replicate(_data(bench), mesh_of()), 4 if bench.quick else TrainingConfig.batch_size
+    batch = 4 if bench.quick else TrainingConfig.batch_size
     configs = [
         TrainingConfig(batch_size=batch, seed=number, losses=(("quantile", 1.0), ("l1", float(number % 2))))
         for number in range(n_runs)
     ]
-    draw = DataConfig(extra_houses=0).draw_batch
-    step = functools.partial(train_step, data=data, recipe=configs[0].recipe, draw_batch=draw)
+    training = CostToGoTraining(configs[0].recipe, DataConfig(extra_houses=0).draw_batch)
+    meshes = {"together": mesh_for_batch(batch, n_runs), "one after another": mesh_for_batch(batch)}
 
-    def trained(states: list[TrainingState], numbers: list[Hyperparameters]) -> list[jax.Array]:
+    def trained(
+        step: Callable[..., Any], states: list[TrainingState], numbers: list[Hyperparameters]
+    ) -> list[jax.Array]:
         # Each call goes on where the last one stopped: states are used up.
         for _ in range(steps):
             losses = []
             for run, of_run in enumerate(numbers):
-                states[run], loss = step(states[run], of_run)
+                states[run], loss = step(states[run], hyperparameters=of_run)
                 losses.append(loss)
         return losses
 
@@ -74,6 +78,9 @@ def training_rows(
     }
     for way in ways:
         row = own("training", f"{n_runs} runs {way}", "runs/h", batch=batch, cells=bench.workload.cells)
-        measured = bench.measure(functools.partial(trained, *begun[way]()))
+        states, numbers = begun[way]()
+        states, mesh = [placed(state, meshes[way]) for state in states], meshes[way]
+        step = functools.partial(supervised_step, data=replicate(_data(bench), mesh), training=training, mesh=mesh)
+        measured = bench.measure(functools.partial(trained, step, states, numbers))
         facts = {"steps of a run/s": steps / measured.timing.median}
         yield row.with_figures(measured, 3600 * n_runs * steps / _STEPS_A_RUN, checksum=None, facts=facts)

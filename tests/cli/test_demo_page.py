@@ -19,8 +19,8 @@ import pytest
 from dc2g_jax._src.cli.commands import demo as command
 from dc2g_jax._src.errors import require_extra
 from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.figures.demo import Demo
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
-from dc2g_jax._src.inspection.demo import Demo
 from dc2g_jax._src.planning.decisions import RobotPose
 from tests.support.networks import random_network
 from tests.support.places import ROOT

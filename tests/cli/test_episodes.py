@@ -5,10 +5,10 @@ import pytest
 
 from dc2g_jax._src.cli import episodes
 from dc2g_jax._src.cli.episodes import EpisodeTable
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.results import read_rows, write_rows
 from tests.support.refusals import refusal

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, start_in
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.starts import Start
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import Start
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 

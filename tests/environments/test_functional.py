@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from jax.experimental import checkify
 
-from dc2g_jax._src.datasets.houses import stack_worlds
-from dc2g_jax._src.datasets.starts import sample_starts
 from dc2g_jax._src.environments.functional import FrontDoor, Observation, egocentric, front_door, observe, one_hot_view
 from dc2g_jax._src.environments.wrappers import FlattenObservation
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.terrain import OUTSIDE
 from dc2g_jax._src.planning.planners import Oracle
+from dc2g_jax._src.readers.houses import stack_worlds
+from dc2g_jax._src.readers.starts import sample_starts
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.rollout import rollout
 from tests.oracles import numpy_gridworld as oracle

@@ -15,13 +15,13 @@ from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E40
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-from dc2g_jax._src.datasets.houses import HouseDataset  # noqa: E402
 from dc2g_jax._src.environments.functional import egocentric, observe  # noqa: E402
 from dc2g_jax._src.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
 from dc2g_jax._src.environments.gymnasium_wrappers import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
 from dc2g_jax._src.environments.registration import GYMNASIUM_ID  # noqa: E402
 from dc2g_jax._src.environments.task import FrontDoorTask, make_env  # noqa: E402
 from dc2g_jax._src.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
+from dc2g_jax._src.readers.houses import HouseDataset  # noqa: E402
 from tests.oracles import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, WALLED, YARD, house, save_dataset, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -298,7 +298,7 @@ def test_refused_starts():
 
 
 def test_refused_options_and_actions():
-    refusal(lambda: FrontDoorEnv(dataset="/nowhere"), "/nowhere", "not an existing folder")
+    refusal(lambda: FrontDoorEnv(dataset="/nowhere"), "/nowhere", "not a folder")
     refusal(lambda: FrontDoorEnv(**{**SMALL, "split": "training"}), "'training'", "train, val, test")
     refusal(lambda: FrontDoorEnv(**{**SMALL, "sensing_range": 0}), "sensing_range is 0")
     refusal(lambda: FrontDoorEnv(**{**SMALL, "step_limit": 0}), "step_limit is 0")

@@ -12,7 +12,7 @@ import pytest
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import pix2pix
-from dc2g_jax._src.estimation.checkpoints import TrainedNetwork, load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import TrainedNetwork, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
@@ -52,7 +52,7 @@ def folder(saved_once, tmp_path) -> Path:
 def refusal(folder: Path, *mentions: object) -> str:
     """The message of the refusal: one line that mentions everything it should."""
     with pytest.raises(InputError) as caught:
-        load_network(folder)
+        network_in_folder(folder)
     message = str(caught.value)
     assert "\n" not in message
     for mention in (folder, *mentions):
@@ -63,7 +63,7 @@ def refusal(folder: Path, *mentions: object) -> str:
 def test_round_trip(tmp_path):
     saved = network()
     folder = save_network(tmp_path / "deep" / "network", saved, {"seed": 7, "command": "train"})
-    loaded = load_network(folder)
+    loaded = network_in_folder(folder)
     assert_equal(loaded, saved)
     terrain = jnp.full((9, 9), 3, jnp.uint8)
     np.testing.assert_array_equal(loaded.estimate(terrain, ()), saved.estimate(terrain, ()))
@@ -74,14 +74,14 @@ def test_round_trip(tmp_path):
 
 
 def test_the_digest_of_a_network_tells_weights_and_architectures_apart(folder):
-    assert tree_sha256(load_network(folder)) == tree_sha256(network())
+    assert tree_sha256(network_in_folder(folder)) == tree_sha256(network())
     others = (network(), network(seed=1), network(cost_scale=30.0))
     assert len({tree_sha256(one) for one in others}) == 3
 
 
 def test_a_folder_may_be_given_as_a_relative_string(folder, monkeypatch):
     monkeypatch.chdir(folder.parent)
-    assert_equal(load_network(folder.name), load_network(folder))
+    assert_equal(network_in_folder(folder.name), network_in_folder(folder))
 
 
 def with_bias(*numbers: float):
@@ -92,7 +92,7 @@ def with_bias(*numbers: float):
 
 def test_weights_that_are_not_numbers_of_the_usual_kind_come_back_too(tmp_path):
     saved = with_bias(-0.0, 1e-42, 3e38)
-    assert_equal(load_network(save_network(tmp_path / "network", saved)), saved)
+    assert_equal(network_in_folder(save_network(tmp_path / "network", saved)), saved)
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
@@ -106,7 +106,7 @@ def test_weights_of_another_training_are_refused(tmp_path):
     save_network(tmp_path / "other", network(seed=1))
     shutil.copy(tmp_path / "other" / "weights.safetensors", tmp_path / "one")
     with pytest.raises(InputError, match=r"one/weights\.safetensors: the SHA-256 of the weights is not [0-9a-f]{64}"):
-        load_network(tmp_path / "one")
+        network_in_folder(tmp_path / "one")
     card = tmp_path / "one" / "network.json"
     facts = json.loads(card.read_text())
     del facts["sha256"]  # a card written by hand
@@ -114,13 +114,13 @@ def test_weights_of_another_training_are_refused(tmp_path):
     told = refusal(tmp_path / "one", "network.json", 'if they belong together, add "sha256"')
     facts["sha256"] = told.split('"')[-2]
     card.write_text(json.dumps(facts))
-    assert_equal(load_network(tmp_path / "one"), network(seed=1))
+    assert_equal(network_in_folder(tmp_path / "one"), network(seed=1))
 
 
 def test_saving_again_replaces(folder):
     other = network(width=6, seed=3)
     save_network(folder, other)
-    assert_equal(load_network(folder), other)
+    assert_equal(network_in_folder(folder), other)
 
 
 def test_saving_replaces_weights_that_are_damaged(folder):
@@ -129,7 +129,7 @@ def test_saving_replaces_weights_that_are_damaged(folder):
     refusal(folder, "weights.safetensors", "cannot be read")
     other = network(seed=3)
     save_network(folder, other)
-    assert_equal(load_network(folder), other)
+    assert_equal(network_in_folder(folder), other)
 
 
 def test_a_folder_that_is_not_there(tmp_path):
@@ -173,7 +173,7 @@ def test_a_translator_comes_back_as_one(tmp_path):
         architecture=architecture,
     )
     folder = save_network(tmp_path / "network", saved, {"loss": "l1"})
-    loaded = load_network(folder)
+    loaded = network_in_folder(folder)
     assert isinstance(loaded, TranslatorCostToGo)
     assert_equal(loaded, saved)
     assert json.loads((folder / "network.json").read_text())["network"] == "pix2pix"

@@ -17,7 +17,7 @@ from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, 
 from dc2g_jax._src.estimation.weights import shapes_of_weights
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
@@ -97,7 +97,7 @@ def test_quantiles_that_are_none_are_refused(levels):
 def test_the_estimator_is_the_network_on_one_map(weights):
     terrain = maps.random_terrain(0, (20, 20), 0.7)
     network = NetworkCostToGo(weights=weights, architecture=SMALL)
-    state = network.init(world_from_terrain(terrain))
+    state = network.init(World.from_terrain(terrain))
     np.testing.assert_allclose(
         np.moveaxis(network.estimate(jnp.asarray(terrain), state), 0, -1),
         apply(weights, terrain[None])[0],
@@ -137,7 +137,7 @@ def test_levels_that_are_no_quantiles_are_refused(levels):
 
 
 def test_the_exact_estimator_knows_the_hidden_map(street):
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     nothing = jnp.zeros(street.shape, jnp.uint8)
     for moves in (EIGHT_CONNECTED, EIGHT_CONNECTED[:4]):
         exact = ExactCostToGo(moves=moves)
@@ -247,7 +247,7 @@ def test_what_is_no_network_is_refused(name, words):
 def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
     compact_unet.check_network(OWN)
     network = NetworkCostToGo(init_weights(OWN, jax.random.key(1)), OWN)
-    loaded = dc2g.load(save_network(tmp_path / "network", network))
+    loaded = dc2g.load_network(save_network(tmp_path / "network", network))
     assert loaded.architecture == OWN
     terrain = jnp.asarray(maps.random_terrain(3, (14, 12), 0.7)[..., None])
     jax.tree.map(np.testing.assert_array_equal, loaded.weights, network.weights)
@@ -255,5 +255,5 @@ def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
     for selection in (ExpectedCost(0.5), QuantileCost(0.7, 0.5)):
         told = DC2G(loaded, SETTINGS["paper"].rules(), selection)._told(terrain, ())
         np.testing.assert_allclose(told, selection.summary(outcomes), rtol=1e-5)
-    dc2g.check_planner(dc2g.make("dc2g", network=loaded))
+    dc2g.check_planner(dc2g.make_planner("dc2g", network=loaded))
     refusal(lambda: onnx_export.export_onnx(loaded, tmp_path / "own.onnx"), "one of your own")

@@ -14,7 +14,7 @@ from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, TO_GOAL
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.planning.selection import ExpectedCost, linear
@@ -70,7 +70,7 @@ def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, s
 
 def test_an_estimate_stands_until_something_new_is_seen(street):
     planner, sensing = DC2G(Counting(), complete_rules(2)), complete_rules(2).sensing
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     plan = jax.jit(planner.plan)
     belief, state = gridworld.reset(world, make_pose(9, 5, 2), sensing), planner.init(world)
     decision, state = plan(belief, state)
@@ -91,7 +91,7 @@ def test_an_estimate_stands_until_something_new_is_seen(street):
 
 def test_nobody_asks_on_the_way_to_a_goal_in_reach(street):
     planner = DC2G(Counting(), complete_rules(2))
-    decision, _ = planner.plan(belief_from_map(street, make_pose(9, 5, 2)), planner.init(world_from_terrain(street)))
+    decision, _ = planner.plan(belief_from_map(street, make_pose(9, 5, 2)), planner.init(World.from_terrain(street)))
     jax.effects_barrier()
     assert int(decision.mode) == TO_GOAL
     assert not asked
@@ -114,7 +114,7 @@ class Spread(ExpectedCost):
 
 @pytest.mark.parametrize("rule", [ExpectedCost(0.0), Worst(0.0), Spread(0.0)])
 def test_a_planner_goes_by_the_summary(street, rule):
-    network, world = random_network(Architecture(widths=(4, 4, 4, 4))), world_from_terrain(street)
+    network, world = random_network(Architecture(widths=(4, 4, 4, 4))), World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(4, 5, 1), complete_rules(3).sensing)
     planner = DC2G(network, complete_rules(3), rule)
     estimate = planner.assess(belief, planner.init(world))[0].cost_to_go

@@ -9,13 +9,14 @@ import pytest
 from flax import struct
 
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, extent_of
-from dc2g_jax._src.estimation.extents import CroppedEstimator, Surroundings, Window, WindowedEstimator
+from dc2g_jax._src.estimation.extents import Surroundings
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sampling import nearest_pixel
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G
 from dc2g_jax._src.planning.rules import complete_rules
+from experiments.benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
 from tests.support import maps
 
 SHAPE = (9, 31)
@@ -148,7 +149,7 @@ def test_a_planner_keeps_what_has_left_the_window(street):
     rules, window = complete_rules(2), Window(side=4, prior=77.0)
     # The map is asked about as it is, then mirrored: the window is mirrored, not moved.
     planner = DC2G(WindowedEstimator(Places(), window), rules, views=((), (1,)))
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(9, 5, 2), rules.sensing)
     step = jax.jit(functools.partial(gridworld.step, sensing=rules.sensing))
     plan, state = jax.jit(planner.plan), planner.init(world)

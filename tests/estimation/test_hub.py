@@ -98,63 +98,70 @@ def hub(tmp_path, monkeypatch):
 
 
 def test_a_network_travels(hub, tmp_path):
-    network = dc2g.load()
-    assert dc2g.push(network, "hf://someone/network").endswith("/commit/" + "1" * 40)
+    network = dc2g.load_network()
+    assert dc2g.estimation.push(network, "hf://someone/network").endswith("/commit/" + "1" * 40)
     assert set(hub["someone/network"]) == {"network.json", "weights.safetensors"}
-    found = dc2g.load("hf://someone/network")
+    found = dc2g.load_network("hf://someone/network")
     assert found.architecture == network.architecture
     jax.tree.map(np.testing.assert_array_equal, found.weights, network.weights)
-    assert dc2g.make("dc2g", network="hf://someone/network").estimator.architecture == network.architecture
+    assert dc2g.make_planner("dc2g", network="hf://someone/network").estimator.architecture == network.architecture
 
 
 def test_a_folder_travels_with_its_card_and_nothing_else(hub, tmp_path):
     folder = shutil.copytree(COMPACT, tmp_path / "network")
     (folder / "notes.txt").write_text("private")
-    dc2g.push(folder, "hf://someone/network")
+    dc2g.estimation.push(folder, "hf://someone/network")
     there = local_folder("hf://someone/network")
     assert {path.name for path in there.iterdir()} == {"network.json", "weights.safetensors"}
     assert (there / "network.json").read_bytes() == (COMPACT / "network.json").read_bytes()
 
 
 def test_an_indoor_network_travels_with_its_encoder(hub):
-    from dc2g_jax._src.objectnav.predicted_costs import load_costs
+    from dc2g_jax._src.search_indoors.learning.networks import load_costs
 
-    dc2g.push(INDOORS, "hf://someone/indoors")
-    costs, own = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)
-    jax.tree.map(np.testing.assert_array_equal, costs.estimator.weights, own.estimator.weights)
+    dc2g.estimation.push(INDOORS, "hf://someone/indoors")
+    (costs, _), (own, _) = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)
+    jax.tree.map(np.testing.assert_array_equal, costs.weights, own.weights)
 
 
 def test_what_cannot_be_used_is_refused_in_a_line(hub, tmp_path):
-    dc2g.push(COMPACT, "hf://someone/network")
-    refusal(lambda: dc2g.load("hf://someone/else"), "hf://someone/else", "cannot be downloaded", "check the name")
+    dc2g.estimation.push(COMPACT, "hf://someone/network")
+    refusal(
+        lambda: dc2g.load_network("hf://someone/else"), "hf://someone/else", "cannot be downloaded", "check the name"
+    )
     for place in ("hf://network", "hf://some one/network/weights"):
-        refusal(lambda place=place: dc2g.load(place), place, "not a network on the Hub", "hf://owner/name")
-    refusal(lambda: dc2g.push(COMPACT, str(tmp_path)), "not a network on the Hub")
-    refusal(lambda: dc2g.push(tmp_path, "hf://someone/empty"), str(tmp_path), "holds no network.json")
+        refusal(lambda place=place: dc2g.load_network(place), place, "not a network on the Hub", "hf://owner/name")
+    refusal(lambda: dc2g.estimation.push(COMPACT, str(tmp_path)), "not a network on the Hub")
+    refusal(lambda: dc2g.estimation.push(tmp_path, "hf://someone/empty"), str(tmp_path), "holds no network.json")
     assert "someone/empty" not in hub
     weights = hub["someone/network"]["weights.safetensors"]
     hub["someone/network"]["weights.safetensors"] = weights[:-4] + b"\0\0\0\0"
-    refusal(lambda: dc2g.load("hf://someone/network"), "SHA-256", "network.json")
+    refusal(lambda: dc2g.load_network("hf://someone/network"), "SHA-256", "network.json")
 
 
 def test_a_card_from_the_hub_chooses_no_code_to_import(hub):
-    dc2g.push(COMPACT, "hf://someone/network")
+    dc2g.estimation.push(COMPACT, "hf://someone/network")
     card = json.loads(hub["someone/network"]["network.json"])
     card["architecture"]["network"] = "antigravity:Flight"
     hub["someone/network"]["network.json"] = json.dumps(card).encode()
-    refusal(lambda: dc2g.load("hf://someone/network"), "hf://someone/network", "'antigravity:Flight'", "if you trust")
+    refusal(
+        lambda: dc2g.load_network("hf://someone/network"),
+        "hf://someone/network",
+        "'antigravity:Flight'",
+        "if you trust",
+    )
 
 
 def test_without_a_connection_the_last_download_is_used(hub, monkeypatch):
-    dc2g.push(COMPACT, "hf://someone/network")
+    dc2g.estimation.push(COMPACT, "hf://someone/network")
     downloaded = local_folder("hf://someone/network")
     at("http://127.0.0.1:9", monkeypatch)
     assert local_folder("hf://someone/network") == downloaded
     refusal(lambda: local_folder("hf://someone/else"), "hf://someone/else", "cannot be downloaded", "the connection")
-    refusal(lambda: dc2g.push(COMPACT, "hf://someone/network"), "cannot be saved", "hf auth login")
+    refusal(lambda: dc2g.estimation.push(COMPACT, "hf://someone/network"), "cannot be saved", "hf auth login")
 
 
 def test_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda module: None)
     with pytest.raises(InputError, match=r'huggingface_hub: not installed; run: pip install "dc2g_jax\[hub\]"'):
-        dc2g.load("hf://someone/network")
+        dc2g.load_network("hf://someone/network")

@@ -38,7 +38,7 @@ def answers(path, classes: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", [(1, 50, 50), (3, 50, 50), (2, 27, 41), (1, 1, 2)])
 def test_the_shipped_network_answers_alike(tmp_path, shape):
     main(Options(out=tmp_path / "network.onnx"))
-    network = dc2g.load()
+    network = dc2g.load_network()
     classes = np.random.default_rng(0).integers(0, len(CLASS_NAMES), shape).astype(np.uint8)
     wanted = wanted_of(network, classes)
     np.testing.assert_allclose(answers(tmp_path / "network.onnx", classes), wanted, rtol=1e-4, atol=1e-3)
@@ -71,7 +71,9 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     translator = TranslatorCostToGo(weights=weights, architecture=architecture)
     refusal(lambda: export_onnx(translator, tmp_path / "network.onnx"), "translator", "dc2g train")
     refusal(
-        lambda: export_onnx(dc2g.load(), tmp_path / "none" / "network.onnx"), "none/network.onnx", "cannot be written"
+        lambda: export_onnx(dc2g.load_network(), tmp_path / "none" / "network.onnx"),
+        "none/network.onnx",
+        "cannot be written",
     )
     (tmp_path / "mine.onnx").write_text("mine")
     refusal(lambda: main(Options(out=tmp_path / "mine.onnx")), "mine.onnx", "exists already")

@@ -14,7 +14,7 @@ from dc2g_jax._src.estimation.weights import shapes_of_weights, with_weights
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sampling import resize_nearest
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G
 from dc2g_jax._src.planning.rules import complete_rules
 
@@ -118,7 +118,7 @@ def test_networks_that_cannot_be_built(change, mention):
 def test_the_estimate_is_read_off_the_picture(weights, street):
     network = TranslatorCostToGo(weights=weights, architecture=TINY)
     ask = jax.jit(network.estimate)
-    estimate = ask(jnp.asarray(street), network.init(world_from_terrain(street)))
+    estimate = ask(jnp.asarray(street), network.init(World.from_terrain(street)))
     large = resize_nearest(jnp.asarray(street), 32, 32)
     picture = images.in_eight_bits(translate(weights, images.semantic_image(large)[None])[0])
     read = images.read_cost_to_go(picture, *street.shape)
@@ -132,7 +132,7 @@ def test_the_estimate_is_read_off_the_picture(weights, street):
 def test_a_planner_uses_it(weights, street):
     rules = complete_rules(2)
     planner = DC2G(TranslatorCostToGo(weights=weights, architecture=TINY), rules)
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     plan = jax.jit(planner.plan)
     belief, state = gridworld.reset(world, make_pose(9, 5, 2), rules.sensing), planner.init(world)
     for _ in range(3):

@@ -31,12 +31,12 @@ from dc2g_jax._src.cli.commands import (
     train_translator,
 )
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.datasets.houses import load_dataset
-from dc2g_jax._src.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
-from dc2g_jax._src.datasets.starts import sample_starts
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD
+from dc2g_jax._src.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
+from dc2g_jax._src.readers.houses import load_dataset
+from dc2g_jax._src.readers.starts import sample_starts
 from experiments import latency
 from tests.support.commands import complaint, run
 from tests.support.houses import save_dataset
@@ -399,7 +399,8 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     for network in (tmp_path / "whole" / "runs").glob("*/network"):
         one, other = (
-            load_network(tmp_path / which / network.relative_to(tmp_path / "whole")) for which in ("whole", "killed")
+            network_in_folder(tmp_path / which / network.relative_to(tmp_path / "whole"))
+            for which in ("whole", "killed")
         )
         jax.tree.map(np.testing.assert_array_equal, one.weights, other.weights)
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from dc2g_jax._src.cli.commands import compare
-from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.readers.houses import House, HouseDataset
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 

@@ -6,9 +6,9 @@ import cv2
 import pytest
 
 from dc2g_jax._src.cli.commands.import_osm import Options, main
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import sample_starts
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import sample_starts
 from tests.support.hamlet import hamlet
 
 

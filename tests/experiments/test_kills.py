@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.cli import episodes
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import sample_starts
 from dc2g_jax._src.estimation.weights import read_safetensors
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import sample_starts
 from tests.support import maps
 from tests.support.places import ROOT
 

@@ -7,7 +7,7 @@ import pytest
 
 from dc2g_jax._src.cli.commands import objectnav_fig5
 from dc2g_jax._src.cli.commands.objectnav_fig5 import Options, main
-from dc2g_jax._src.objectnav import houses
+from dc2g_jax._src.search_indoors.houses import dataset as houses
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

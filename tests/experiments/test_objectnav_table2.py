@@ -10,17 +10,17 @@ from dc2g_jax._src.cli import searches
 from dc2g_jax._src.cli.commands import objectnav_table2
 from dc2g_jax._src.cli.commands.objectnav_table2 import Options, main
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
-from dc2g_jax._src.objectnav.metrics import OF_CLASSES
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder
-from dc2g_jax._src.objectnav.networks import (
+from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
+from dc2g_jax._src.search_indoors.learning.networks import (
     ABLATIONS,
+    ENCODER_FILE,
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,
-    save_estimator,
+    save_costs,
 )
-from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
-from dc2g_jax._src.objectnav.tables import METRICS
+from dc2g_jax._src.search_indoors.search.evaluation import METRICS
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -38,9 +38,7 @@ def folders(tmp_path):
         small = EncoderArchitecture((4, 5, 6), features=7)
         write_network(folder / ENCODER_FILE, fresh_weights(SmallEncoder, small, KEY), small, {})
         architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
-        save_estimator(
-            folder / NETWORK_FILE, CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture), {}
-        )
+        save_costs(folder, CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture), {})
         made.append(folder)
     return tuple(made)
 
@@ -72,7 +70,7 @@ def test_it_compares_what_networks_are_shown(options, capsys):
     assert set(facts["differences"]) == {"semantic"}
 
     weights = fresh_weights(CostMapNetwork, SMALL, jax.random.key(1))
-    save_estimator(options.networks[1] / NETWORK_FILE, CostMapEstimator(weights, SMALL), {})
+    save_costs(options.networks[1], CostMapEstimator(weights, SMALL), {})
     again = dataclasses.replace(options, resume=True)
     refusal(lambda: main(again), options.out, "--networks", "has changed")
 

@@ -10,9 +10,9 @@ import pytest
 from dc2g_jax._src.cli.commands import objectnav_train
 from dc2g_jax._src.cli.commands.objectnav_train import Options, main
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.objectnav.collecting import CollectionConfig
-from dc2g_jax._src.objectnav.houses import houses_sha256
-from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
+from dc2g_jax._src.search_indoors.houses.dataset import houses_sha256
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
+from dc2g_jax._src.search_indoors.learning.networks import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -30,8 +30,8 @@ def options(tmp_path, monkeypatch):
 def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was(options, capsys):
     main(options)
     assert "Training on 4 samples of 1 houses" in capsys.readouterr().out
-    costs = load_costs(options.out)
-    assert costs.estimator.architecture.widths == (4, 4)
+    estimator, _ = load_costs(options.out)
+    assert estimator.architecture.widths == (4, 4)
     card = json.loads((options.out / "network.json").read_text())
     assert card["validation"]["step"] == 2
     for name in (NETWORK_FILE, ENCODER_FILE):

@@ -14,9 +14,9 @@ from dc2g_jax._src.cli.commands import (
     explore_map,
     reproduce_fig8,
 )
-from dc2g_jax._src.datasets.houses import map_dataset
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
+from dc2g_jax._src.readers.houses import map_dataset
 from tests.support import toy
 from tests.support.commands import complaint, run
 from tests.support.maps import drawn

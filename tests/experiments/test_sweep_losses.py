@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from dc2g_jax._src.cli.commands.sweep_losses import Options, kind_of, network_folder, train_group, write_results
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
@@ -55,7 +55,7 @@ def test_runs_that_wait_their_turn_end_like_runs_trained_together(tmp_path):
         (group,) = group_by_shape(options.runs(50))
         for turn in in_turns(group, at_once)[turns]:
             train_group(options, turn, data, pairs, {})
-        return [load_network(network_folder(out, run)).weights for run in group] if turns == slice(None) else None
+        return [network_in_folder(network_folder(out, run)).weights for run in group] if turns == slice(None) else None
 
     together = weights(tmp_path / "together", 64, track="tensorboard")
     in_turn = weights(tmp_path / "in_turn", 2)

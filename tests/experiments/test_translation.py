@@ -11,8 +11,8 @@ import pytest
 from dc2g_jax._src.cli import translation
 from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5, train_translator as train_translator_command
 from dc2g_jax._src.cli.translation import TranslationOptions, train_translator, translation_data
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.training.loop import Log
 from tests.support import maps
 
@@ -42,7 +42,7 @@ def steps(monkeypatch):
     """Stand-in for the real step: notes its number, and misbehaves where told."""
     taken, trouble = [], {}
 
-    def step(state, data, *, training, mesh):
+    def step(state, data, key, *, training, mesh):
         number = int(state.step)
         if trouble.get(number) is KeyboardInterrupt:
             del trouble[number]

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
-from dc2g_jax._src.estimation.extents import Window, WindowedEstimator
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import read_rows
 from experiments import unknown_dimensions
+from experiments.benchmarks.extents import Window, WindowedEstimator
 from experiments.unknown_dimensions import (
     Options,
     Worlds,
@@ -29,7 +29,7 @@ def test_every_planner_runs_the_same_episodes(street, compact_network, tmp_path,
     worlds = Worlds([House("street", "val", street)], [Start("street", 9, 5, 2), Start("street", 0, 4, 0)])
     monkeypatch.setattr(unknown_dimensions, "all_worlds", lambda options, dataset: {"one": worlds})
     # One of them is enough: each takes a program of its own.
-    windows = {"dc2g_window_16": WindowedEstimator(load_network(compact_network), Window(16))}
+    windows = {"dc2g_window_16": WindowedEstimator(network_in_folder(compact_network), Window(16))}
     monkeypatch.setattr(unknown_dimensions, "estimators_by_planner", lambda network, sides: windows)
     out = tmp_path / "out"
     main(Options(dataset="procedural", network=compact_network, out=out))

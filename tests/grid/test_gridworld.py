@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
@@ -25,7 +25,7 @@ step = jax.jit(functools.partial(gridworld.step, sensing=SENSING))
 @settings(max_examples=8)
 def test_a_walk_of_random_actions(shape, seed, density):
     terrain = maps.random_terrain(seed, shape, density, doors=2)
-    world = world_from_terrain(terrain)
+    world = World.from_terrain(terrain)
     pose = maps.random_pose(seed, np.ones(shape, bool))
     belief = reset(world, make_pose(*pose))
     seen = oracle.visible(pose, 4, shape)
@@ -48,14 +48,14 @@ def test_a_walk_of_random_actions(shape, seed, density):
 def test_a_step_off_the_map_stays_in_place(street, heading):
     height, width = street.shape
     x, y = ((width - 1, 2), (2, height - 1), (0, 2), (2, 0))[heading]
-    belief = reset(world_from_terrain(street), make_pose(x, y, heading))
-    after = step(world_from_terrain(street), belief, jnp.int32(0))
+    belief = reset(World.from_terrain(street), make_pose(x, y, heading))
+    after = step(World.from_terrain(street), belief, jnp.int32(0))
     assert (int(after.pose.x), int(after.pose.y), int(after.pose.heading)) == (x, y, heading)
     assert int(after.steps) == 1
 
 
 def test_four_turns_either_way_lead_back(street):
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     for action in (1, 2):
         belief = reset(world, make_pose(3, 3, 2))
         headings = [int(belief.pose.heading)]
@@ -70,7 +70,7 @@ def signature(tree) -> list[tuple]:
 
 
 def test_a_step_keeps_shapes_dtypes_and_weak_types(street):
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
 
     def start():
         return gridworld.reset(world, make_pose(1, 4, 0), SENSING)
@@ -87,14 +87,14 @@ def test_a_step_keeps_shapes_dtypes_and_weak_types(street):
 
 
 def test_reset_of_any_pose_gives_the_same_types(street):
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     poses = (make_pose(1, 4, 0), make_pose(np.int64(1), np.int64(4), np.int64(0)))
     first, *others = [signature(gridworld.reset(world, pose, SENSING)) for pose in poses]
     assert all(other == first for other in others)
 
 
 def test_steps_can_be_scanned_and_mapped(street):
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     actions = np.random.default_rng(0).integers(0, 3, (5, 12))
 
     def walk(actions):
@@ -110,9 +110,9 @@ def test_steps_can_be_scanned_and_mapped(street):
 
 
 def test_worlds_of_a_batch_are_those_of_its_members(street, island):
-    both = world_from_terrain(np.stack([street, island], axis=-1))
+    both = World.from_terrain(np.stack([street, island], axis=-1))
     for number, terrain in enumerate((street, island)):
-        alone = world_from_terrain(terrain)
+        alone = World.from_terrain(terrain)
         assert alone.terrain.dtype == np.uint8
         jax.tree.map(lambda many, one, n=number: np.testing.assert_array_equal(many[..., n], one), both, alone)
         np.testing.assert_array_equal(alone.terrain, terrain)

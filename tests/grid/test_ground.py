@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from dc2g_jax._src.datasets.houses import load_dataset
 from dc2g_jax._src.grid.ground import (
     Piece,
     component_numbers,
@@ -17,6 +16,7 @@ from dc2g_jax._src.grid.ground import (
 )
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, PATH, TRAVERSABLE
+from dc2g_jax._src.readers.houses import load_dataset
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.places import PUBLISHED

@@ -122,7 +122,7 @@ def test_a_search_ends_when_its_wavefront_grows_no_more():
     free[0, :4] = free[7, 31] = targets[:, 7, 31] = True
     board = bitboard.pack(jnp.asarray(free))
     found, steps = search._search(
-        poses.only(make_pose(0, 0, 0), *board.shape), jnp.bool_(True), board, poses.one_action_on,
+        poses.only(make_pose(0, 0, 0), *board.shape), jnp.bool_(True), board, 1,
         poses.pack(jnp.asarray(targets)), lambda reached, targets: ~poses.is_empty(reached & targets)[None],
     )  # fmt: skip
     assert not found.any()

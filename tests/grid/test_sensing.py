@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from dc2g_jax._src.grid import bitboard, gridworld, poses, sensing
 from dc2g_jax._src.grid.poses import make_pose
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
@@ -107,7 +107,7 @@ def test_a_wall_hides_a_street():
         RRR#RRRRR
         RRRRRRRRR
     """)
-    belief = gridworld.reset(world_from_terrain(picture), make_pose(0, 1, 0), sensing.line_of_sight(8))
+    belief = gridworld.reset(World.from_terrain(picture), make_pose(0, 1, 0), sensing.line_of_sight(8))
     hidden = np.argwhere(np.asarray(belief.terrain)[1] == 0).ravel()
     assert hidden.tolist() == [4, 5, 6, 7, 8]
     assert np.asarray(belief.terrain)[1, 3] == maps.drawn("#")[0, 0]

@@ -11,8 +11,8 @@ import pytest
 
 import dc2g_jax._src.grid.world
 import dc2g_jax._src.mapping.semantic_map
-import dc2g_jax._src.objectnav.classes
-import dc2g_jax._src.objectnav.mapping
+import dc2g_jax._src.search_indoors.maps.classes
+import dc2g_jax._src.search_indoors.maps.mapping
 from dc2g_jax._src.grid import bitboard, terrain
 from dc2g_jax._src.mapping.camera import Frame, level_camera
 from tests.support.frames import CAMERA, SETTINGS
@@ -63,7 +63,7 @@ def test_a_semantic_map_takes_two_bytes_a_voxel():
 def test_a_world_holds_every_class(number, monkeypatch):
     with_classes(number, monkeypatch)
     classes = np.arange(number, dtype=np.uint8)[None]
-    world = loaded(dc2g_jax._src.grid.world, monkeypatch).world_from_terrain(classes)
+    world = loaded(dc2g_jax._src.grid.world, monkeypatch).World.from_terrain(classes)
     np.testing.assert_array_equal(world.terrain, classes)
     opaque = np.isin(classes, np.flatnonzero(terrain.OPAQUE))
     np.testing.assert_array_equal(bitboard.unpack(world.opaque, number), opaque)
@@ -75,9 +75,9 @@ def test_more_classes_than_fit_into_a_byte_are_refused(monkeypatch):
 
 
 def test_more_indoor_classes_than_bits_in_a_cell_are_refused(monkeypatch):
-    monkeypatch.setattr(dc2g_jax._src.objectnav.classes, "SEMANTIC_CLASSES", 31)
+    monkeypatch.setattr(dc2g_jax._src.search_indoors.maps.classes, "SEMANTIC_CLASSES", 31)
     with pytest.raises(ValueError, match=r"^31 indoor classes.* 30 are possible$"):
-        loaded(dc2g_jax._src.objectnav.mapping, monkeypatch)
+        loaded(dc2g_jax._src.search_indoors.maps.mapping, monkeypatch)
 
 
 def test_the_first_class_is_unknown_and_black():

@@ -375,7 +375,7 @@ def run_episode(
     rim_width: int = 0,
     patience: tuple[int, int, float] | None = None,
     new_cell: float = 0.0,
-    enough_news: int = 1,
+    replan_fraction: int = 1,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
@@ -383,8 +383,8 @@ def run_episode(
     (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `rim_width`
     cells if it can. `patience` is a radius, a number of decisions and a price: cells with more decisions than that made
     at most the radius to their side cost the price more for each. A cell that would be seen for the first time takes
-    `new_cell` off the cost of where it would be seen from. The choice holds until `enough_news` cells are newly seen
-    or none of the chosen poses reveals anything.
+    `new_cell` off the cost of where it would be seen from. The choice holds until `replan_fraction` cells are newly
+    seen or none of the chosen poses reveals anything.
     A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
@@ -412,7 +412,7 @@ def run_episode(
             if planner == "dc2g":
                 assert cost_to_go is not None
                 revealing = explore_poses(seen, reached, pose, rules="complete", **radii)
-                if (seen & ~seen_at_choice).sum() >= enough_news or not (chosen & revealing).any():
+                if (seen & ~seen_at_choice).sum() >= replan_fraction or not (chosen & revealing).any():
                     poses = revealing_poses(poses, seen, reached, pose, **radii)
                     opening = opening_poses(poses, seen, rim_width, sensing_radius)
                     poses = opening if opening.any() else poses

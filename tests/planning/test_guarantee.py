@@ -12,7 +12,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.grid.streets import in_town, is_town
 from dc2g_jax._src.grid.terrain import GRASS, ROAD
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax._src.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
@@ -35,7 +35,7 @@ BOUNDS = ((1.0, 0.2), (1.0, 1.0), (1.5, 0.0), (2.0, 0.5), (3.0, 2.0))
 
 
 def run(planner, terrains, starts, step_limit=STEP_LIMIT):
-    worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
+    worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
     episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
     sensing = planner.rules.sensing
     return rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit, slots=64)
@@ -179,7 +179,7 @@ def test_a_robot_that_cannot_reach_the_door_is_left_to_the_wrapped_planner(islan
 
 def test_the_shadow_explores_as_frontier_does_by_so_many_actions_a_decision(street):
     virtual_steps = 3
-    world, start = world_from_terrain(street), make_pose(8, 4, 2)
+    world, start = World.from_terrain(street), make_pose(8, 4, 2)
     alone = gridworld.reset(world, start, COMPLETE.sensing)
     reachable, at = Frontier(COMPLETE).init(world), [start]
     planner = Guaranteed(Frontier(COMPLETE), COMPLETE, 1.0, np.inf, virtual_steps)
@@ -197,7 +197,7 @@ def test_the_shadow_explores_as_frontier_does_by_so_many_actions_a_decision(stre
 
 def test_the_assessment_describes_the_plan_that_is_carried_out(street):
     planner = Guaranteed(LowestColumn(COMPLETE), COMPLETE, 1.0, 0.0)
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(8, 4, 0), COMPLETE.sensing)
     state = planner.init(world)
     wrapped, _ = planner.planner.assess(belief, state.planner)
@@ -212,7 +212,7 @@ def test_the_assessment_describes_the_plan_that_is_carried_out(street):
 
 def test_no_bound_is_left_on_a_map_whose_cells_changed(street):
     planner = Guaranteed(DC2G(Scattered(), COMPLETE), COMPLETE, 1.0, 0.0)
-    world = world_from_terrain(street)
+    world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(8, 4, 2), COMPLETE.sensing)
     _, state = planner.plan(belief, planner.init(world))
     nothing = jnp.zeros_like(state.shadow.seen)

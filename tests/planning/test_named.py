@@ -6,7 +6,6 @@ import pytest
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax._src.planning.named import (
@@ -14,12 +13,13 @@ from dc2g_jax._src.planning.named import (
     NETWORK_RIVALS,
     STEP_PATIENCE,
     check_names,
-    make,
     make_planner,
+    planner_with,
 )
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, any_heading
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, QuantileCost
+from experiments.benchmarks.extents import CroppedEstimator, WindowedEstimator
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)
@@ -34,14 +34,14 @@ class NoRules:
 
 def test_make_planner():
     estimator = ExactCostToGo()
-    assert make_planner("oracle", RULES) == Oracle()
-    assert make_planner("frontier", RULES) == Frontier(RULES)
-    assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
+    assert planner_with("oracle", RULES) == Oracle()
+    assert planner_with("frontier", RULES) == Frontier(RULES)
+    assert planner_with("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
     for name, on_network in NETWORK_PLANNERS.items():
-        assert make_planner(name, RULES, estimator) == on_network(estimator, RULES)
+        assert planner_with(name, RULES, estimator) == on_network(estimator, RULES)
     # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
-    assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
+    assert planner_with("dc2g", RULES, translator) == DC2G(translator, RULES)
 
 
 def test_planners_on_a_network_have_the_parameters_that_were_chosen():
@@ -56,13 +56,13 @@ def test_planners_on_a_network_have_the_parameters_that_were_chosen():
     assert guarded == Guaranteed(alone, alone.rules, factor=2.0, slack=3.0)
     # Where a decision is not an action, there is no bound on actions.
     assert type(NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, ENDLESS)) is DC2G
-    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.enough_news) == (1, ((), (1,)), 3.0, 1 / 3)
+    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.replan_fraction) == (1, ((), (1,)), 3.0, 1 / 3)
 
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
     reference = SETTINGS["reference"].rules()
     for name in NETWORK_PLANNERS.keys() - set(NETWORK_RIVALS):
-        planner = make_planner(name, reference, ExactCostToGo())
+        planner = planner_with(name, reference, ExactCostToGo())
         assert planner.rules.frontier_expanding is reference.frontier_expanding
         assert RULES.goal_poses is not reference.goal_poses
         assert planner.rules.goal_poses is (reference if name == "dc2g_paper" else RULES).goal_poses
@@ -71,7 +71,7 @@ def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
 def test_the_papers_planner_is_that_of_the_paper():
     """The values of Algorithm 2, written out. Its patience never ends, even where decisions count."""
     reference = SETTINGS["reference"].rules()
-    planner = make_planner("dc2g_paper", reference, ExactCostToGo(), patience=STEP_PATIENCE)
+    planner = planner_with("dc2g_paper", reference, ExactCostToGo(), patience=STEP_PATIENCE)
     assert planner == DC2G(
         ExactCostToGo(),
         reference,
@@ -81,7 +81,7 @@ def test_the_papers_planner_is_that_of_the_paper():
         gain_weight=0.0,
         headings=any_heading,
         patience=ENDLESS,
-        enough_news=0.0,
+        replan_fraction=0.0,
     )
 
 
@@ -89,8 +89,8 @@ def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     network = NetworkCostToGo(weights=(), architecture=Architecture())
     for wrapped in (CroppedEstimator, WindowedEstimator):
-        assert make_planner("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
-        assert make_planner("dc2g", RULES, wrapped(network)) == NETWORK_PLANNERS["dc2g"](wrapped(network), RULES)
+        assert planner_with("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
+        assert planner_with("dc2g", RULES, wrapped(network)) == NETWORK_PLANNERS["dc2g"](wrapped(network), RULES)
 
 
 @pytest.mark.parametrize(
@@ -98,18 +98,18 @@ def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
 )
 def test_planners_that_cannot_be_made(name, words):
     with pytest.raises(ValueError, match=words) as caught:
-        make_planner(name, RULES)
+        planner_with(name, RULES)
     assert repr(name) in str(caught.value)
 
 
 def test_make_takes_settings_and_the_network_from_where_it_is_told():
-    assert make("frontier") == Frontier(complete_rules(8))
-    assert make("frontier", settings="published") == Frontier(SETTINGS["published"].rules())
-    assert make("true_cost_to_go", settings=SETTINGS["paper"], sensing_range=4) == DC2G(ExactCostToGo(), RULES)
-    assert make("dc2g", network=ExactCostToGo()) == NETWORK_PLANNERS["dc2g"](ExactCostToGo(), complete_rules(8))
-    assert isinstance(make("dc2g").estimator, NetworkCostToGo)
-    refusal(lambda: make("frontier", sensing_range=65), "sensing range 65", "1 to 64")
-    refusal(lambda: make("dc2g", network="no_such_folder"), "no_such_folder", "no such file")
+    assert make_planner("frontier") == Frontier(complete_rules(8))
+    assert make_planner("frontier", settings="published") == Frontier(SETTINGS["published"].rules())
+    assert make_planner("true_cost_to_go", settings=SETTINGS["paper"], sensing_range=4) == DC2G(ExactCostToGo(), RULES)
+    assert make_planner("dc2g", network=ExactCostToGo()) == NETWORK_PLANNERS["dc2g"](ExactCostToGo(), complete_rules(8))
+    assert isinstance(make_planner("dc2g").estimator, NetworkCostToGo)
+    refusal(lambda: make_planner("frontier", sensing_range=65), "sensing range 65", "1 to 64")
+    refusal(lambda: make_planner("dc2g", network="no_such_folder"), "no_such_folder", "no such file")
 
 
 class Plain(ExactCostToGo):
@@ -122,18 +122,24 @@ def narrow_estimator():
 
 def test_an_estimator_of_the_users_own_goes_by_its_name():
     module = ExactCostToGo.__module__
-    assert make("dc2g", network=f"{module}:ExactCostToGo") == make("dc2g", network=ExactCostToGo())
-    assert make("dc2g", network=f"{__name__}:narrow_estimator") == make("dc2g", network=narrow_estimator())
-    refusal(lambda: make("dc2g", network=f"{__name__}:refusal"), ":refusal'", "called without arguments")
+    assert make_planner("dc2g", network=f"{module}:ExactCostToGo") == make_planner("dc2g", network=ExactCostToGo())
+    assert make_planner("dc2g", network=f"{__name__}:narrow_estimator") == make_planner(
+        "dc2g", network=narrow_estimator()
+    )
+    refusal(lambda: make_planner("dc2g", network=f"{__name__}:refusal"), ":refusal'", "called without arguments")
     for wrong in ("Plain", "RULES"):
-        refusal(lambda wrong=wrong: make("dc2g", network=f"{__name__}:{wrong}"), f":{wrong}'", "flax.struct.dataclass")
-    refusal(lambda: make("dc2g", network="no_such_module:Estimator"), "'no_such_module:Estimator'", ":Name")
+        refusal(
+            lambda wrong=wrong: make_planner("dc2g", network=f"{__name__}:{wrong}"),
+            f":{wrong}'",
+            "flax.struct.dataclass",
+        )
+    refusal(lambda: make_planner("dc2g", network="no_such_module:Estimator"), "'no_such_module:Estimator'", ":Name")
 
 
 def test_a_class_is_named_by_its_module():
     name = f"{Frontier.__module__}:{Frontier.__name__}"
     check_names([name, "oracle"])
-    assert make(name, sensing_range=4) == Frontier(RULES)
-    refusal(lambda: make("tests.planning.test_named:NoRules"), "NoRules", "one argument")
+    assert make_planner(name, sensing_range=4) == Frontier(RULES)
+    refusal(lambda: make_planner("tests.planning.test_named:NoRules"), "NoRules", "one argument")
     for wrong in ("no_such_module:Planner", f"{Frontier.__module__}:NoSuchPlanner", ":Frontier", "math:"):
         refusal(lambda wrong=wrong: check_names([wrong]), repr(wrong), "package.module:Name")

@@ -11,7 +11,7 @@ from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.grid.terrain import ROAD
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.nearby import nearby
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, Frontier
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
@@ -29,7 +29,7 @@ def near_decision(belief, before, planner):
 @pytest.mark.parametrize("rules", [complete_rules(10, line_of_sight), reference_rules(14)])
 def test_a_certain_decision_is_that_of_the_whole_map(rules):
     terrains, starts = random_worlds((60, 83), 700, doors=6, episodes=24)
-    worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
+    worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
     planner = Frontier(rules)
 
     def decide_alone(belief, before):
@@ -59,7 +59,7 @@ def with_few_unseen(shape: tuple[int, int], pose: np.ndarray, offsets: np.ndarra
     seen = np.ones((*shape, robots), bool)
     x, y = (np.clip(pose[axis] + offsets[axis], 0, shape[1 - axis] - 1) for axis in (0, 1))
     seen[y, x, np.arange(robots)] = False
-    road = world_from_terrain(np.full(seen.shape, ROAD, np.uint8))
+    road = World.from_terrain(np.full(seen.shape, ROAD, np.uint8))
     seen = bitboard.pack(jnp.asarray(seen))
     return gridworld.belief_of(road, make_pose(*pose), jnp.zeros(robots, jnp.int32), seen)
 

@@ -13,18 +13,18 @@ from flax import struct
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
-from dc2g_jax._src.estimation.extents import Window, WindowedEstimator
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import online
 from dc2g_jax._src.planning.decisions import Candidate, Decision, RobotPose, explain
 from dc2g_jax._src.planning.metric import MetricPlanner
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax._src.planning.rules import complete_rules
+from experiments.benchmarks.extents import Window, WindowedEstimator
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
@@ -117,9 +117,9 @@ def assert_alike(decision: Decision, other: Decision) -> None:
 def test_every_step_of_an_episode_is_that_of_the_batch_planner():
     @jax.jit
     def plan(planner, grid, pose):
-        return planner.plan(belief_from_map(grid, make_pose(*pose)), planner.init(world_from_terrain(grid)))[0]
+        return planner.plan(belief_from_map(grid, make_pose(*pose)), planner.init(World.from_terrain(grid)))[0]
 
-    batch_planner = make_planner("dc2g", complete_rules(SENSING), BothViews(network()))
+    batch_planner = planner_with("dc2g", complete_rules(SENSING), BothViews(network()))
     batch_planner = dataclasses.replace(batch_planner, views=((),))
     terrains, starts = random_worlds(SHAPE, 900, episodes=8)
     for terrain, start in zip(terrains, starts, strict=True):

@@ -15,9 +15,9 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax._src.grid.terrain import OPAQUE
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.frontiers import facing_most
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
 from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
@@ -43,7 +43,7 @@ both_rules = pytest.mark.parametrize("rules", RULES)
 
 
 def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
-    worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
+    worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
     episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
     return rollout(planner, worlds, episodes, sensing=sensing or field_of_view(SENSING), step_limit=step_limit, slots=4)
 
@@ -83,7 +83,7 @@ def test_frontier_episodes(shape, rules):
 def test_dc2g_episodes_with_exact_cost_to_go(rules, moves):
     terrains, starts = random_worlds((11, 33), 300)
     planner = DC2G(ExactCostToGo(moves=moves), RULES[rules])
-    costs = np.asarray(world_cost_to_go(world_from_terrain(np.moveaxis(terrains, 0, -1)), moves=moves))
+    costs = np.asarray(world_cost_to_go(World.from_terrain(np.moveaxis(terrains, 0, -1)), moves=moves))
     check_against_oracle(
         run(planner, terrains, starts), terrains, starts, "dc2g", rules, cost_to_go=lambda index: costs[..., index]
     )
@@ -104,11 +104,11 @@ def test_dc2g_episodes_with_an_estimator_of_what_was_observed(rules):
 @both_rules
 def test_the_papers_planner_is_algorithm_2_decided_anew_at_every_step(rules):
     terrains, starts = random_worlds((11, 33), 1500)
-    done = run(make_planner("dc2g_paper", RULES[rules], Scattered()), terrains, starts)
+    done = run(planner_with("dc2g_paper", RULES[rules], Scattered()), terrains, starts)
     cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=0)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=0)
     with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=7)
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
 
 
 @both_rules
@@ -147,9 +147,9 @@ def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
 def test_dc2g_keeps_to_its_choice_until_much_is_new(rules):
     terrains, starts = random_worlds((11, 33), 1300)
     in_view = len(field_of_view(SENSING).offsets[0])
-    done = run(DC2G(Scattered(), RULES[rules], enough_news=7 / in_view), terrains, starts)
+    done = run(DC2G(Scattered(), RULES[rules], replan_fraction=7 / in_view), terrains, starts)
     cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=7)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
     with pytest.raises(AssertionError):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
@@ -181,7 +181,7 @@ def test_dc2g_goes_by_the_mean_of_views_asked_about_in_turn(rules):
 @functools.cache
 def deciding(planner, width: int):
     def decide(terrain, seen, pose):
-        plan, _ = planner.plan(belief_of(terrain, seen, pose), planner.init(world_from_terrain(terrain)))
+        plan, _ = planner.plan(belief_of(terrain, seen, pose), planner.init(World.from_terrain(terrain)))
         return plan, poses.unpack(plan.subgoals, width)
 
     return jax.jit(decide)
@@ -347,7 +347,7 @@ class NoNumber(ExactCostToGo):
 @both_rules
 def test_a_robot_gives_up_where_estimates_are_no_numbers(rules):
     terrains, starts = random_worlds((11, 33), 600)
-    worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
+    worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
     belief = gridworld.reset(worlds, make_pose(*np.array(starts).T), field_of_view(SENSING))
     for estimator, wanted in ((NoNumber(), GAVE_UP), (ExactCostToGo(), EXPLORE)):
         planner = DC2G(estimator, RULES[rules])
@@ -366,7 +366,7 @@ def test_an_estimator_without_an_axis_of_outcomes_is_refused():
 
     planner = DC2G(Flat(), RULES["complete"], views=((), (1,)))
     with pytest.raises(ValueError, match=r"Flat answers with \[11, 33\] for a map of \[11, 33\]; give \[outcomes"):
-        planner.init(world_from_terrain(maps.random_terrain(0, (11, 33), 0.85)))
+        planner.init(World.from_terrain(maps.random_terrain(0, (11, 33), 0.85)))
 
 
 def test_what_is_left_of_a_state_on_a_map_that_has_changed():
@@ -374,7 +374,7 @@ def test_what_is_left_of_a_state_on_a_map_that_has_changed():
     planner = DC2G(ExactCostToGo(), RULES["complete"], views=((), (1,)))
     pose = maps.random_pose(600, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
     belief = belief_from_map(terrain, make_pose(*pose))
-    _, state = planner.plan(belief, planner.init(world_from_terrain(terrain)))
+    _, state = planner.plan(belief, planner.init(World.from_terrain(terrain)))
     nothing = jnp.zeros_like(belief.seen)
     state = state._replace(choice=state.choice._replace(estimated_from=belief.seen))
     same, other = planner.revised(state, nothing), planner.revised(state, nothing.at[0, 4].set(1))
@@ -383,12 +383,12 @@ def test_what_is_left_of_a_state_on_a_map_that_has_changed():
     assert (same.choice.estimated_from == belief.seen).all()
     assert int(jnp.sum(other.choice.estimated_from != belief.seen)) == 1  # the estimator is asked anew
     assert Frontier(RULES["complete"]).revised(state.reachable, nothing).sum() == 0
-    known = Oracle().init(world_from_terrain(terrain))
+    known = Oracle().init(World.from_terrain(terrain))
     assert Oracle().revised(known, nothing) is known
 
 
 def test_nothing_is_estimated_on_the_way_to_a_goal(street):
-    planner, world, pose = DC2G(Scattered(), RULES["complete"]), world_from_terrain(street), make_pose(8, 4, 0)
+    planner, world, pose = DC2G(Scattered(), RULES["complete"]), World.from_terrain(street), make_pose(8, 4, 0)
     before, state = planner.assess(gridworld.reset(world, pose, field_of_view(SENSING)), planner.init(world))
     seen = street.copy()
     seen[4:6, 0] = 0

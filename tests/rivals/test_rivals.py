@@ -11,9 +11,9 @@ from scipy import ndimage
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, make_planner
+from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, planner_with
 from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rivals.choosing import Moment, exploring_poses, in_square
@@ -102,7 +102,7 @@ CHOOSING = {
     "random": (RandomFrontier(RULES), random_score),
     "hysteresis": (Hysteresis(RULES, margin=3.0), hysteresis_score),
     "utility": (CostUtility(RULES, beta=0.25), utility_score),
-    "view": (NextBestView(RULES, enough_news=0.5, discount=0.1), view_score),
+    "view": (NextBestView(RULES, replan_fraction=0.5, discount=0.1), view_score),
     "potential": (FrontierPotential(RULES, estimator=Scattered(), farthest=10.0), potential_score),
     "uncertainty": (VisibleUncertainty(RULES, estimator=Scattered()), uncertainty_score),
 }
@@ -184,7 +184,7 @@ def right_hand_episode(terrain, pose):
 def check_episodes(planner, episode, first_seed):
     terrains, starts = random_worlds((11, 33), first_seed)
     episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
-    worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
+    worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
     done = rollout(planner, worlds, episodes, sensing=field_of_view(SENSING), step_limit=STEP_LIMIT, slots=4)
     for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         expected = episode(terrain, pose)
@@ -194,7 +194,7 @@ def check_episodes(planner, episode, first_seed):
 @pytest.mark.parametrize("name", CHOOSING)
 def test_episodes_of_rivals_that_choose(name):
     planner, score = CHOOSING[name]
-    enough = planner.enough_news * FIELD_OF_VIEW
+    enough = planner.replan_fraction * FIELD_OF_VIEW
     check_episodes(planner, lambda terrain, pose: choosing_episode(terrain, pose, score, enough), 2000)
 
 
@@ -305,10 +305,10 @@ def test_a_network_without_cells_cannot_lead_a_rival():
 
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     for name in NETWORK_RIVALS:
-        refusal(lambda name=name: make_planner(name, RULES, translator), repr(name), "costs in cells")
+        refusal(lambda name=name: planner_with(name, RULES, translator), repr(name), "costs in cells")
 
 
 def test_names_are_those_of_classes():
-    assert make_planner("next_best_view", RULES) == NextBestView(RULES)
-    assert len({type(make_planner(name, RULES)) for name in RIVALS}) == len(RIVALS)
-    assert math.isinf(make_planner("random_frontier", RULES).enough_news)
+    assert planner_with("next_best_view", RULES) == NextBestView(RULES)
+    assert len({type(planner_with(name, RULES)) for name in RIVALS}) == len(RIVALS)
+    assert math.isinf(planner_with("random_frontier", RULES).replan_fraction)

@@ -30,13 +30,13 @@ def name_of(tested: Any) -> str:
 
 @pytest.mark.parametrize("name", dc2g.PLANNERS)
 def test_shipped_planners_pass(name):
-    check_planner(dc2g.make(name))
+    check_planner(dc2g.make_planner(name))
 
 
 def test_the_authors_rules_do_not_always_end_an_exploration():
     """A robot can turn back and forth between two poses that reveal nothing, as the authors' robots did."""
     refusal(
-        lambda: check_planner(dc2g.make("frontier", settings="published")),
+        lambda: check_planner(dc2g.make_planner("frontier", settings="published")),
         "planner Frontier: episode 2, decision 361: the last 357 actions explored and revealed nothing; expected "
         "something new within 356, or giving up",
     )

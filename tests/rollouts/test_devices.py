@@ -9,15 +9,17 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import load_dataset
-from dc2g_jax._src.datasets.procedural import draw_house
-from dc2g_jax._src.datasets.starts import sample_starts
+from dc2g_jax._src.procedural import draw_house
+from dc2g_jax._src.readers.houses import load_dataset
+from dc2g_jax._src.readers.starts import sample_starts
+from dc2g_jax._src.rollouts import devices
 from dc2g_jax._src.rollouts.devices import (
     cores,
     deal,
     dealt_counts,
     gather,
     join_processes,
+    mesh_for_batch,
     mesh_of,
     not_repeated,
     on_each,
@@ -76,6 +78,17 @@ def test_what_jax_is_told(monkeypatch):
     assert (told["jax_cuda_visible_devices"], told["jax_num_cpu_devices"]) == ("0,1", 2)
     refusal(lambda: use_devices(1), "--devices 1: there are 2")
     assert (told["jax_cuda_visible_devices"], told["jax_num_cpu_devices"]) == ("0", 1)
+
+
+@pytest.mark.parametrize(
+    ("platform", "size", "runs", "shape"),
+    [("cpu", 4, 1, (1, 2)), ("cpu", 4, 2, (1, 2)), ("cpu", 3, 1, (1, 1)), ("gpu", 4, 6, (2, 1)), ("gpu", 4, 3, (1, 2))],
+)
+def test_runs_and_batches_share_as_many_devices_as_divide_them(monkeypatch, platform, size, runs, shape):
+    monkeypatch.setattr(devices, "platform", lambda mesh: platform)
+    monkeypatch.setattr(jax, "devices", lambda: jax.local_devices()[:2])
+    monkeypatch.setattr(jax, "device_count", lambda: 2)
+    assert mesh_for_batch(size, runs).devices.shape == shape
 
 
 def test_memory_that_is_surely_needed():

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, HOUSE, ROAD
-from dc2g_jax._src.planning.named import make
+from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of
@@ -162,7 +162,11 @@ def test_the_step_limit_grows_with_the_map(dataset):
 
 def test_evaluate_is_what_the_runner_gives_for_names_classes_and_planners(dataset):
     starts = [start._replace(expanding_range=None) for start in STARTS]
-    own = {"class": Frontier, "ready": make("frontier", sensing_range=4), "named": f"{Frontier.__module__}:Frontier"}
+    own = {
+        "class": Frontier,
+        "ready": make_planner("frontier", sensing_range=4),
+        "named": f"{Frontier.__module__}:Frontier",
+    }
     results = evaluate({**own, "frontier": "frontier"}, dataset, starts=starts, sensing_range=4)
     four = [start._replace(sensing_range=4) for start in starts]
     expected = Runner(dataset, SETTINGS["paper"]).run(four, ["frontier"])
@@ -180,9 +184,9 @@ def test_evaluate_samples_starts_in_the_houses_of_a_split(dataset):
 
 
 def test_a_planner_made_for_another_field_of_view_is_refused(dataset):
-    mine = {"mine": make("frontier", sensing_range=5)}
+    mine = {"mine": make_planner("frontier", sensing_range=5)}
     refusal(lambda: evaluate(mine, dataset, starts=STARTS[1:3]), "'mine'", "5 cells", "one of 8", "sensing_range")
-    occluded = {"mine": make("frontier", settings="occluded")}
+    occluded = {"mine": make_planner("frontier", settings="occluded")}
     refusal(lambda: evaluate(occluded, dataset, starts=STARTS[1:3]), "'mine'", "one of 8 of another kind")
 
 
@@ -190,7 +194,7 @@ def test_evaluate_refuses_before_anything_runs(dataset):
     refusal(lambda: evaluate(["fronteir"], dataset), "fronteir", "known: oracle")
     refusal(lambda: evaluate(["frontier"], dataset, settings="papers"), "papers", "published")
     refusal(lambda: evaluate(["frontier"], dataset, sensing_range=0), "sensing range 0")
-    for unnamed in (Frontier, [Frontier], make("frontier")):
+    for unnamed in (Frontier, [Frontier], make_planner("frontier")):
         refusal(lambda unnamed=unnamed: evaluate(unnamed, dataset), "is no name", "mapping, such as")
     refusal(lambda: evaluate({"mine": lambda rules: rules}, dataset), "'mine'", "has no init", "check_planner")
     refusal(lambda: evaluate("builtins:repr", dataset), "'builtins:repr'", "has no init", "check_planner")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dc2g_jax._src.datasets.starts import published_episodes
+from dc2g_jax._src.readers.starts import published_episodes
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.published import (
     PUBLISHED_GROUPS,

@@ -8,7 +8,7 @@ import pytest
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid.poses import make_pose
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.planning.selection import QuantileCost
@@ -41,7 +41,7 @@ def some_episodes(terrains: np.ndarray, seed: int, count: int = N_EPISODES) -> E
 def run(terrains, episodes, planner=None, **options) -> Trajectories:
     planner = Frontier(RULES) if planner is None else planner
     options = {"sensing": RULES.sensing, "step_limit": 60, "slots": N_EPISODES, **options}
-    return rollout(planner, world_from_terrain(np.moveaxis(terrains, 0, -1)), episodes, **options)
+    return rollout(planner, World.from_terrain(np.moveaxis(terrains, 0, -1)), episodes, **options)
 
 
 def assert_equal(one: Trajectories, other: Trajectories) -> None:

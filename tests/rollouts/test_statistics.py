@@ -33,7 +33,7 @@ def test_intervals_in_a_table_are_over_the_houses_of_each_group():
     assert (table["a"].mean_low, table["a"].mean_high) == (10, 20)  # house y or house x alone
     assert (table["b"].mean_low, table["b"].mean_high) == (6, 6)
     whole = house_bootstrap([row[2] for row in rows], [row[1] for row in rows], resamples=10_000, seed=0)
-    assert (table["all"].mean_low, table["all"].mean_high) == whole
+    assert (table["all"].mean_extra, table["all"].mean_low, table["all"].mean_high) == whole
 
 
 def test_a_summary_of_nothing_is_refused():
@@ -66,7 +66,8 @@ def test_an_interval_is_that_of_houses_drawn_one_by_one():
     for share in (0.6, 0.95):
         wanted = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
         found = house_bootstrap(values, list(houses), resamples=4000, seed=0, share=share)
-        np.testing.assert_allclose(found, wanted, atol=0.05 * np.ptp(means))
+        np.testing.assert_allclose(found[1:], wanted, atol=0.05 * np.ptp(means))
+        assert found.mean == pytest.approx(values.mean())
 
 
 def test_an_interval_of_nothing_is_refused():

@@ -101,19 +101,20 @@ def with_property(whole: Any, name: str) -> tuple[tuple[type, type], Callable[[t
 
 def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     """Boundary -> what sends an object of a class through it, and the two classes."""
-    from dc2g_jax._src.datasets.houses import HouseDataset
-    from dc2g_jax._src.datasets.starts import Start
     from dc2g_jax._src.environments import functional, gymnasium_env
     from dc2g_jax._src.estimation.estimators import ExactCostToGo
+    from dc2g_jax._src.figures.replay import replay
     from dc2g_jax._src.grid.poses import make_pose
-    from dc2g_jax._src.grid.world import world_from_terrain
-    from dc2g_jax._src.inspection.replay import replay
-    from dc2g_jax._src.objectnav import guides, searches, training as indoor_training
+    from dc2g_jax._src.grid.world import World
     from dc2g_jax._src.planning.online import OnlinePlanner
     from dc2g_jax._src.planning.planners import DC2G, Frontier
     from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
-    from dc2g_jax._src.rollouts.devices import mesh_of
+    from dc2g_jax._src.readers.houses import HouseDataset
+    from dc2g_jax._src.readers.starts import Start
+    from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+    from dc2g_jax._src.search_indoors.learning import training as indoor_training
+    from dc2g_jax._src.search_indoors.search import guides, searches
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
     from dc2g_jax._src.training.mask_collection import collect_masks
@@ -127,7 +128,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     rules = complete_rules(4)
     start = Start("street", 0, 4, 0)
     runner = Runner(HouseDataset("street", "toy", DATASET.houses[:1]), SETTINGS["paper"], step_limit=20)
-    world = world_from_terrain(STREET)
+    world = World.from_terrain(STREET)
     batch = jax.tree.map(lambda leaf: leaf[..., None], world)
     episodes = episodes_from([start], {"street": 0})
     house = two_rooms()
@@ -153,23 +154,23 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
 
     def train(cls: type) -> None:
         config = trainings.COST_TO_GO
-        cost_to_go.train_step(
-            cost_to_go.first_state(config), config.hyperparameters, cls(trainings.training_set()),
-            recipe=config.recipe, draw_batch=draw_pairs,
-        )  # fmt: skip
+        state, data = cost_to_go.first_state(config), cls(trainings.training_set())
+        training = cost_to_go.CostToGoTraining(config.recipe, draw_pairs)
+        supervised_step(state, data, config.hyperparameters, training=training, mesh=mesh_of())
 
     def sweep(cls: type) -> None:
         config = trainings.COST_TO_GO
         numbers = stacked_hyperparameters([config, config])
         data = cls(trainings.training_set())
         states = init_states(config.recipe, numbers)
-        cost_to_go.train_step(states, numbers, data, recipe=config.recipe, draw_batch=draw_pairs)
+        training = cost_to_go.CostToGoTraining(config.recipe, draw_pairs)
+        supervised_step(states, data, numbers, training=training, mesh=mesh_for_batch(config.batch_size, 2))
 
     def translate(cls: type) -> None:
         config = trainings.TRANSLATOR
         state = translator.first_state(config, seed=0)
-        data = translator.run_key(0), cls(trainings.image_set())
-        supervised_step(state, data, training=translator.TranslatorTraining(config, draw_images), mesh=mesh_of())
+        data, training = cls(trainings.image_set()), translator.TranslatorTraining(config, draw_images)
+        supervised_step(state, data, translator.run_key(0), training=training, mesh=mesh_of())
 
     def train_indoors(cls: type) -> None:
         config = trainings.COST_MAPS

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.mapping.camera import intrinsics
 from dc2g_jax._src.mapping.noise import PAPER_LIKE, scaled
 from dc2g_jax._src.mapping.semantic_map import MapSettings
 from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.vehicles import fleet
 from dc2g_jax._src.vehicles.drive import Equipment

@@ -9,7 +9,7 @@ from flax import struct
 from dc2g_jax._src.grid import bitboard, gridworld, poses, search
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import make_pose
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, AssessingPlanner, Frontier
 from dc2g_jax._src.planning.rules import Rules
 from tests.oracles import numpy_gridworld as oracle
@@ -24,7 +24,7 @@ SENSING, EXPANDING = 4, 3
 def belief_of(terrain, seen, pose) -> Belief:
     """The belief of a robot that has seen these cells, by whatever way."""
     seen = bitboard.pack(jnp.asarray(seen))
-    return gridworld.belief_of(world_from_terrain(terrain), make_pose(*pose), jnp.int32(0), seen)
+    return gridworld.belief_of(World.from_terrain(terrain), make_pose(*pose), jnp.int32(0), seen)
 
 
 def random_moment(seed: int, shape: tuple[int, int], density: float):

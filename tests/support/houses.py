@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.datasets.houses import SPLIT_FILES, House, HouseDataset
 from dc2g_jax._src.files.class_images import write_class_image, write_palette
 from dc2g_jax._src.grid.terrain import ROAD
+from dc2g_jax._src.readers.houses import SPLIT_FILES, House, HouseDataset
 from tests.support.maps import drawn
 
 #: Two doors, and ground to bump into.

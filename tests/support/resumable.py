@@ -31,25 +31,24 @@ from dc2g_jax._src.cli.commands import (
     train_translator,
 )
 from dc2g_jax._src.cli.driving import DriveResult
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.pairs import TrainingSet
-from dc2g_jax._src.datasets.starts import PublishedEpisode, Start
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.grid.terrain import GRASS
-from dc2g_jax._src.objectnav.collecting import CollectionConfig
-from dc2g_jax._src.objectnav.evaluation import SearchResult
-from dc2g_jax._src.objectnav.metrics import OF_CLASSES
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax._src.objectnav.tables import METRICS
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import PublishedEpisode, Start
 from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
+from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
 from dc2g_jax._src.training import sweeps, train as training, training_sets
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import TrainingState
 from experiments import unknown_dimensions
 from tests.support import trainings
@@ -182,15 +181,15 @@ def head_to_head_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
 def compare_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _episodes(patch)
     patch.setattr(compare, "plot_leaderboard", fake_figure)
-    return _command(compare, compare.Options(family=(dataset,), planner=("frontier", "oracle"), starts=3))
+    return _command(compare, compare.Options(family=(dataset,), planner=("frontier", "random_frontier"), starts=3))
 
 
 def unknown_dimensions_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _episodes(patch)
     worlds = unknown_dimensions.Worlds([House("test", "val", STREET)], STARTS)
     patch.setattr(unknown_dimensions, "all_worlds", lambda options, dataset: {"one": worlds, "other": worlds})
-    network = load_network()
-    patch.setattr(unknown_dimensions, "load", lambda place: network)
+    network = network_in_folder()
+    patch.setattr(unknown_dimensions, "load_network", lambda place: network)
     patch.setattr(unknown_dimensions, "milliseconds", lambda estimators, house: {})
     return _command(unknown_dimensions, unknown_dimensions.Options(dataset=dataset))
 
@@ -200,8 +199,8 @@ def noisy_mapping_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Com
         return [DriveResult(*start[:4], 5.0 + len(name), "arrived", 0.0, 0.0) for start in starts]
 
     _episodes(patch)
-    network = load_network()
-    patch.setattr(noisy_mapping, "load", lambda place: network)
+    network = network_in_folder()
+    patch.setattr(noisy_mapping, "load_network", lambda place: network)
     patch.setattr(noisy_mapping, "equipment", lambda *args: None)
     patch.setattr(noisy_mapping, "drive", drive)
     patch.setattr(noisy_mapping, "plot_noise", fake_figure)
@@ -230,7 +229,7 @@ def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
 
 
 def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
-    patch.setattr(module, "train_step", fake_step)
+    patch.setattr(module, "supervised_step", fake_step)
     patch.setattr(module, "first_state", functools.cache(module.first_state))
     patch.setattr(module, "Validation", FakeValidation)
     patch.setattr(training_sets, "observation_masks", fake_masks)

@@ -2,6 +2,8 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,20 +11,24 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Int
 
-from dc2g_jax._src.datasets.drawn_masks import drawn_masks
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.objectnav.data import JourneySet
-from dc2g_jax._src.objectnav.networks import CostMapArchitecture
-from dc2g_jax._src.objectnav.training import BETTER_RECIPE, CostMapConfig
-from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.search_indoors.learning import training as cost_maps
+from dc2g_jax._src.search_indoors.learning.data import JourneySet
+from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture
+from dc2g_jax._src.search_indoors.learning.training import BETTER_RECIPE, CostMapConfig
+from dc2g_jax._src.training import cost_to_go, translator
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
+from dc2g_jax._src.training.drawn_masks import drawn_masks
 from dc2g_jax._src.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
-from dc2g_jax._src.training.translator import TranslatorConfig
+from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.training.step import Supervised, TrainingState, supervised_step
+from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining
 from tests.support import maps
 
 COST_TO_GO = TrainingConfig(
@@ -54,7 +60,7 @@ def training_set() -> TrainingSet:
     seen = np.stack([maps.random_cells(seed, shape, 0.8) for seed in range(6)])
     return TrainingSet(
         terrain=jnp.asarray(terrains),
-        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
+        cost_to_go=jnp.stack([world_cost_to_go(World.from_terrain(terrain)) for terrain in terrains]),
         masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
         n_own=jnp.int32(6),
@@ -82,6 +88,48 @@ def journeys() -> JourneySet:
         headings=jnp.zeros((2, 3), jnp.float32),
         features=jnp.zeros((2, 3, 2, 2), jnp.float16),
     )
+
+
+class Case(NamedTuple):
+    """A training: what it is of, and how much of its first loss is left after `steps`."""
+
+    training: Supervised
+    config: Any
+    first_state: Callable[[Any], TrainingState]
+    data: Callable[[], Any]
+    hyperparameters: Any
+    others: Any
+    steps: int
+    left: float
+
+
+CASES = {
+    "cost_to_go": Case(
+        CostToGoTraining(COST_TO_GO.recipe, DRAW_PAIRS), COST_TO_GO, cost_to_go.first_state,
+        training_set, COST_TO_GO.hyperparameters,
+        COST_TO_GO.hyperparameters.replace(seed=jnp.uint32(5), learning_rate=jnp.float32(1e-4)), COST_TO_GO.steps, 0.6,
+    ),
+    "translator": Case(
+        TranslatorTraining(TRANSLATOR, DRAW_IMAGES), TRANSLATOR, functools.partial(translator.first_state, seed=0),
+        image_set, translator.run_key(0), translator.run_key(1), 30, 0.8,
+    ),
+    "cost_maps": Case(
+        COST_MAPS, COST_MAPS, cost_maps.first_state, journeys, None, None,
+        COST_MAPS.steps, 0.8,
+    ),
+}  # fmt: skip
+
+
+def train(case: Case, steps: int, state=None, devices=None, hyperparameters=None):
+    """Train on from a state (the first by default); the state is used up."""
+    mesh, losses = mesh_of(devices), []
+    state, data = replicate((case.first_state(case.config) if state is None else state, case.data()), mesh)
+    numbers = case.hyperparameters if hyperparameters is None else hyperparameters
+    for _ in range(steps):
+        state, loss = supervised_step(state, data, numbers, training=case.training, mesh=mesh)
+        assert all(leaf.is_ready() for leaf in jax.tree.leaves((state, loss)))
+        losses.append(float(loss))
+    return state, losses
 
 
 @struct.dataclass

@@ -1,14 +1,15 @@
-"""A house of two rooms, 3 m deep, side by side, as cells of 10 cm: a bed in the one, a plant in the other; an agent."""
+"""Houses of two rooms, 3 m deep, side by side: plans, furniture for them, one as cells of 10 cm, and an agent."""
 
 import numpy as np
 
 from dc2g_jax._src.mapping.camera import intrinsics
-from dc2g_jax._src.objectnav._plans import Furniture, HousePlan, Room, Segment, world_from_plan
-from dc2g_jax._src.objectnav.agent import LIMITS, MPC, Agent
-from dc2g_jax._src.objectnav.classes import BED, PLANT
-from dc2g_jax._src.objectnav.guides import GoalReacher, NearestFrontier
-from dc2g_jax._src.objectnav.houses import IndoorHouse
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region
+from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import LIMITS, MPC, Agent
+from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier
 from dc2g_jax._src.vehicles.mppi import MPPISettings
 
 #: An agent with a small camera that samples few controls.
@@ -21,22 +22,36 @@ AGENT = Agent(
 )
 
 
-def two_rooms() -> IndoorHouse:
-    """The house. In the world, rooms begin at x = 0.25 and y = -0.25; the wall between them is at x = 3.25."""
-    corners = [(0.0, 0.0), (5.0, 0.0), (5.0, 3.0), (0.0, 3.0)]
-    plan = HousePlan(
+#: Furniture for `plan`.
+PLANT_BOX = Furniture(PLANT, 5.5, 0.5, 0.4, 0.4, 0.0, 0.8)
+BED_BOX = Furniture(BED, 1.0, 2.0, 1.0, 1.6, 0.0, 0.6)
+
+
+def plan(*furniture: Furniture, door: float = 1.0, width: float = 6.0, wall: float | None = None) -> HousePlan:
+    """Two rooms with a door in the middle of the wall between them, 3 m from the right end if not told otherwise."""
+    corners = [(0.0, 0.0), (width, 0.0), (width, 3.0), (0.0, 3.0)]
+    wall = width - 3.0 if wall is None else wall
+    return HousePlan(
         rooms=(
-            Room(1, np.array([(0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (0.0, 3.0)])),
-            Room(3, np.array([(3.0, 0.0), (5.0, 0.0), (5.0, 3.0), (3.0, 3.0)])),
+            Room(1, np.array([(0.0, 0.0), (wall, 0.0), (wall, 3.0), (0.0, 3.0)])),
+            Room(3, np.array([(wall, 0.0), (width, 0.0), (width, 3.0), (wall, 3.0)])),
         ),
         walls=(
             *(Segment(one, other) for one, other in zip(corners, [*corners[1:], corners[0]], strict=True)),
-            Segment((3.0, 0.0), (3.0, 3.0)),
+            Segment((wall, 0.0), (wall, 3.0)),
         ),
-        doors=(Segment((3.0, 1.0), (3.0, 2.0)),),
-        furniture=(
-            Furniture(BED, 0.6, 2.0, 1.0, 1.6, 0.0, 0.6),
-            Furniture(PLANT, 4.6, 0.4, 0.4, 0.4, 0.0, 0.8),
-        ),
+        doors=(Segment((wall, 1.5 - door / 2), (wall, 1.5 + door / 2)),) if door else (),
+        furniture=furniture,
     )
-    return IndoorHouse("two_rooms", "val", world_from_plan(plan, 0.1))
+
+
+def two_rooms() -> IndoorHouse:
+    """A bed and a plant. In the world, rooms begin at x = 0.25 and y = -0.25; the wall between them is at x = 3.25."""
+    bed, plant = Furniture(BED, 0.6, 2.0, 1.0, 1.6, 0.0, 0.6), Furniture(PLANT, 4.6, 0.4, 0.4, 0.4, 0.0, 0.8)
+    return IndoorHouse("two_rooms", "val", world_from_plan(plan(bed, plant, width=5.0, wall=3.0), 0.1))
+
+
+def rooms_cut_off(world: IndoorWorld) -> list[int]:
+    """Rooms outside the largest region in which a robot can drive, by their number in `world.rooms`."""
+    reached = np.unique(np.asarray(world.rooms)[largest_region(world)])
+    return [room for room in range(1, len(world.room_kinds)) if room not in reached]

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, ROAD
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,
     check_masks,
@@ -84,6 +84,6 @@ def test_labels_are_those_of_each_house(houses, street):
         [*houses, other], 2, masks(boards=np.ones((4, 1, height), np.uint32), world=np.array([0, 1, 2, 2]))
     )
     assert int(data.n_own) == 2
-    np.testing.assert_array_equal(data.cost_to_go[0], world_cost_to_go(world_from_terrain(street)))
+    np.testing.assert_array_equal(data.cost_to_go[0], world_cost_to_go(World.from_terrain(street)))
     np.testing.assert_array_equal(data.cost_to_go[2], np.asarray(data.cost_to_go[0])[:, ::-1])
     np.testing.assert_array_equal(data.terrain[2], other.terrain)

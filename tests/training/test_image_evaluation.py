@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.datasets.drawn_masks import drawn_masks
-from dc2g_jax._src.datasets.houses import House
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, TranslatorCostToGo
 from dc2g_jax._src.estimation.images import in_eight_bits
 from dc2g_jax._src.estimation.metrics import ImageMetrics, compare_images
@@ -17,6 +15,8 @@ from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture, 
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.training.drawn_masks import drawn_masks
 from dc2g_jax._src.training.image_evaluation import (
     HouseMetrics,
     as_floats,

@@ -9,16 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.training import cost_to_go
-from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, mean_loss, train_step
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.rollouts import devices
+from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
+from dc2g_jax._src.training import step
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, mean_loss
 from dc2g_jax._src.training.losses import parse_losses
+from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.training.step import learn, placed, supervised_step
 from dc2g_jax._src.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
@@ -40,7 +43,7 @@ def data() -> TrainingSet:
     seen = np.stack([maps.random_cells(seed, (12, 12), 0.8) for seed in range(3)])
     return TrainingSet(
         terrain=jnp.asarray(terrain)[None],
-        cost_to_go=world_cost_to_go(world_from_terrain(terrain))[None],
+        cost_to_go=world_cost_to_go(World.from_terrain(terrain))[None],
         masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.zeros(3, jnp.int32),
         n_own=jnp.int32(3),
@@ -127,17 +130,23 @@ def test_more_runs_than_fit_take_turns():
 @pytest.fixture(params=["cpu", "gpu"])
 def on(request, monkeypatch):
     """Steps as a CPU takes them, and as an accelerator does."""
-    monkeypatch.setattr(cost_to_go, "platform", lambda mesh: request.param)
+    for module in (step, devices):
+        monkeypatch.setattr(module, "platform", lambda mesh: request.param)
+
+
+def take_steps(data, state, hyperparameters, recipe, steps: int, runs: int = 1):
+    mesh, training, losses = mesh_for_batch(recipe.batch_size, runs), CostToGoTraining(recipe, DRAW), []
+    state, data = placed(state, mesh), replicate(data, mesh)
+    for _ in range(steps):
+        state, loss = supervised_step(state, data, hyperparameters, training=training, mesh=mesh)
+        losses.append(np.asarray(loss))
+    return state, np.array(losses)
 
 
 def train(data, configs, steps: int, states=None):
     hyperparameters, recipe = stacked_hyperparameters(configs), configs[0].recipe
     states = init_states(recipe, hyperparameters) if states is None else states
-    losses = []
-    for _ in range(steps):
-        states, loss = train_step(states, hyperparameters, data, recipe=recipe, draw_batch=DRAW)
-        losses.append(np.asarray(loss))
-    return states, np.array(losses)
+    return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
 
 @pytest.mark.usefixtures("on")
@@ -145,24 +154,20 @@ def test_together_is_like_alone(data):
     configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
     states, losses = train(data, configs, 5)
     for index, config in enumerate(configs):
-        state = first_state(config)
-        for step in range(5):
-            state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
-            assert float(loss) == pytest.approx(float(losses[step, index]), rel=1e-4)
+        state, of_run = take_steps(data, first_state(config), config.hyperparameters, config.recipe, 5)
+        np.testing.assert_allclose(of_run, losses[:, index], rtol=1e-4)
         alone, ours = jax.tree.leaves(state.weights), jax.tree.leaves(states.weights)
         for one, stacked in zip(alone, ours, strict=True):
             np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
 
 
-def test_runs_in_turn_differ_from_alone_by_rounding_only(data):
-    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
-    states, _ = train(data, configs, 3)
-    for index, config in enumerate(configs):
-        state = first_state(config)
-        for _ in range(3):
-            state, _ = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
-        for stack, one in zip(jax.tree.leaves(states), jax.tree.leaves(state), strict=True):
-            np.testing.assert_allclose(stack[index], one, rtol=1e-5, atol=1e-7)
+@pytest.mark.usefixtures("on")
+def test_runs_together_are_one_program(data):
+    configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]))[0].values())
+    train(data, configs, 1)
+    before = learn.compiled_count()
+    train(data, [dataclasses.replace(config, seed=7, learning_rate=2e-3) for config in configs], 2)
+    assert learn.compiled_count() == before
 
 
 @pytest.mark.usefixtures("on")

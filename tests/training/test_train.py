@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.training.loop import Pauses
 from tests.support.houses import STREET, house
 from tests.support.refusals import refusal
@@ -26,7 +26,7 @@ def test_houses_become_a_network_that_is_evaluated_and_kept(tmp_path):
     assert trained.network.architecture == dataclasses.replace(CONFIG.architecture, side=10)
     assert {row.house for row in trained.results} == {"lane"}
     assert set(trained.results.summary()) == {"frontier", "dc2g"}
-    kept = dc2g.load(tmp_path / "network")
+    kept = dc2g.load_network(tmp_path / "network")
     jax.tree.map(np.testing.assert_array_equal, kept.weights, trained.network.weights)
     written = (tmp_path / "network" / "network.json").read_bytes()
     assert json.loads(written)["steps"] == 3

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.pix2pix import Discriminator
 from dc2g_jax._src.estimation.weights import with_weights
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.training.image_pairs import ImageSet
-from dc2g_jax._src.training.step import supervised_step
 from dc2g_jax._src.training.translator import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
@@ -22,12 +19,9 @@ from dc2g_jax._src.training.translator import (
     discriminator_loss,
     first_state,
     generator_loss,
-    run_key,
 )
-from tests.support.states import assert_same_bits, infinite
-from tests.support.trainings import DRAW_IMAGES as DRAW, TRANSLATOR as CONFIG, image_set
-
-STEPS = 30
+from tests.support.states import infinite
+from tests.support.trainings import CASES, DRAW_IMAGES as DRAW, TRANSLATOR as CONFIG, image_set, train
 
 
 @pytest.fixture(scope="module")
@@ -35,55 +29,18 @@ def data() -> ImageSet:
     return image_set()
 
 
-def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG, devices=None, seed=0):
-    mesh, differences = mesh_of(devices), []
-    state = first_state(config, seed=0) if state is None else state
-    state, pairs = replicate((state, (run_key(seed), data)), mesh)
-    for _ in range(steps):
-        state, difference = supervised_step(state, pairs, training=TranslatorTraining(config, DRAW), mesh=mesh)
-        differences.append(float(difference))
-    return state, differences
-
-
-@pytest.fixture(scope="module")
-def trained(data):
-    """A run without interruption."""
-    state, differences = train(data, STEPS)
-    return jax.tree.map(np.array, state), differences
-
-
-def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
-    state, differences = None, []
-    for steps in (7, STEPS - 7):
-        # A new process each time.
-        checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG, first_state=functools.partial(first_state, seed=0))
-        state = checkpoints.restore()
-        assert (state is None) == (not differences)
-        state, part = train(data, steps, state)
-        differences += part
-        checkpoints.save(state)
-        checkpoints.close()
-    assert differences == trained[1]
-    assert_same_bits(state, trained[0])
-
-
-def test_it_learns(trained):
-    differences = trained[1]
-    assert np.isfinite(differences).all()
-    assert np.mean(differences[-5:]) < 0.8 * np.mean(differences[:5])
-
-
 def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
     layers = state.weights["generator"]["down0"], state.weights["discriminator"]["layer0"]
     return tuple(np.array(layer["convolution"]["kernel"]) for layer in layers)
 
 
-def test_the_discriminator_learns_only_where_it_is_asked(data, trained):
+def test_the_discriminator_learns_only_where_it_is_asked():
+    case, l1 = CASES["translator"], dataclasses.replace(CONFIG, loss="l1")
     start = first_layers(first_state(CONFIG, seed=0))
-    both = first_layers(trained[0])
+    both = first_layers(train(case, 1)[0])
     assert not np.array_equal(both[0], start[0])
     assert not np.array_equal(both[1], start[1])
-    alone = first_layers(train(data, 1, config=dataclasses.replace(CONFIG, loss="l1"))[0])
+    alone = first_layers(train(case._replace(training=TranslatorTraining(l1, DRAW)), 1)[0])
     assert not np.array_equal(alone[0], start[0])
     assert np.array_equal(alone[1], start[1])
 
@@ -129,39 +86,9 @@ def test_an_unknown_loss_is_refused_with_those_there_are():
 
 
 @pytest.mark.parametrize("network", ["generator", "discriminator"])
-def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data, network):
+def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(network):
     state = first_state(CONFIG, seed=0)
     adam, *rest = state.optimizer
     broken = adam._replace(mu=adam.mu | {network: infinite(adam.mu[network])})
-    _, differences = train(data, 1, state.replace(optimizer=(broken, *rest)))
+    _, differences = train(CASES["translator"], 1, state.replace(optimizer=(broken, *rest)))
     assert np.isnan(differences[0])
-
-
-def with_effect(weights) -> dict:
-    """Weights of a network without the biases that the next normalization takes out: rounding alone moves those."""
-    layers = {name: dict(layer) for name, layer in weights.items()}
-    for layer in layers.values():
-        if "norm" in layer:
-            layer["convolution"] = {"kernel": layer["convolution"]["kernel"]}
-    return layers
-
-
-def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
-    """Five steps move half of the weights by 4e-3 or more. Rounding is to change them by 1e-4 at most."""
-    one, differences = train(data, 5, devices=jax.devices()[:1])
-    two, others = train(data, 5, devices=jax.devices()[:2])
-    np.testing.assert_allclose(differences, others, rtol=1e-5)
-    for network in ("generator", "discriminator"):
-        pair = (with_effect(state.weights[network]) for state in (one, two))
-        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4), *pair)
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_step_is_compiled_once(data, count):
-    devices = jax.devices()[:count]
-    state, _ = train(data, 1, devices=devices)
-    before = supervised_step.compiled_count()
-    train(data, 1, first_state(CONFIG, seed=1), devices=devices, seed=1)
-    state, _ = train(data, 2, state, devices=devices)
-    train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state, devices=devices)
-    assert supervised_step.compiled_count() == before

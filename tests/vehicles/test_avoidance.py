@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.procedural import procedural_training_houses
-from dc2g_jax._src.datasets.starts import start_cells
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.terrain import GRASS, TRAVERSABLE
+from dc2g_jax._src.procedural import procedural_training_houses
+from dc2g_jax._src.readers.starts import start_cells
 from dc2g_jax._src.vehicles._pedestrians import NOWHERE, PERSON_RADIUS, Pedestrians, place, walkable_cells
 from dc2g_jax._src.vehicles.avoidance import People, avoid
 from dc2g_jax._src.vehicles.footprint import Ground, cell_centers

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.objectnav import _cost_maps as cost_maps
+from dc2g_jax._src.search_indoors.maps import cost_maps as cost_maps
 from dc2g_jax._src.vehicles import mppi
 from dc2g_jax._src.vehicles.mppi import MPPISettings
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive

@@ -18,19 +18,19 @@ from jax.experimental import multihost_utils
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError, drop_output, reader_may_leave
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.devices import join_processes, use_devices
 from dc2g_jax._src.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
-#: Common options: a folder of houses (or a name), and a network (see `estimation.hub.load`).
+#: Common options: a folder of houses (or a name), and a network (see `estimation.hub.load_network`).
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
@@ -162,8 +162,8 @@ def check_planners(planners: Sequence[str]) -> None:
 
 
 def network_for(planners: Iterable[str], place: str | Path | None) -> Estimator | None:
-    """The network in a place, see `estimation.hub.load`; `None` if no planner uses a network."""
-    return load(place) if NETWORK_PLANNERS.keys() & set(planners) else None
+    """The network in a place, see `estimation.hub.load_network`; `None` if no planner uses a network."""
+    return load_network(place) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
 def digests(dataset: HouseDataset | None = None, **inputs: Any) -> dict[str, str]:

@@ -17,10 +17,8 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from dc2g_jax._src.cli.local_server import OwnOriginOnly
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.grid.terrain import FIGURE_COLORS
-from dc2g_jax._src.inspection.animation import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR
-from dc2g_jax._src.inspection.costs import COST_COLORS
-from dc2g_jax._src.inspection.demo import (
+from dc2g_jax._src.figures.costs import COST_COLORS
+from dc2g_jax._src.figures.demo import (
     Demo,
     cost_picture,
     map_picture,
@@ -29,7 +27,9 @@ from dc2g_jax._src.inspection.demo import (
     start_marks,
     walk_marks,
 )
-from dc2g_jax._src.inspection.figures import planner_style
+from dc2g_jax._src.figures.episode_figures import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR
+from dc2g_jax._src.figures.results_figures import planner_style
+from dc2g_jax._src.grid.terrain import FIGURE_COLORS
 from dc2g_jax._src.planning.named import PLANNERS
 
 _STYLE = """

@@ -8,8 +8,6 @@ import numpy as np
 
 from dc2g_jax._src.cli.common import ImageSizeOption
 from dc2g_jax._src.cli.options import SharedOptions
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.sensing import line_of_sight
@@ -17,9 +15,11 @@ from dc2g_jax._src.mapping.camera import intrinsics
 from dc2g_jax._src.mapping.noise import PAPER_LIKE, scaled
 from dc2g_jax._src.mapping.scene import CELL_SIZE
 from dc2g_jax._src.mapping.semantic_map import MapSettings
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.planning.selection import ENDLESS
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
@@ -69,7 +69,7 @@ def equipment(
     width, height = options.image_size
     return Equipment(
         # The planner decides every second, even if the robot has not moved, so decisions do not measure dwell times.
-        planner=make_planner(planner, rules, estimator, patience=ENDLESS),
+        planner=planner_with(planner, rules, estimator, patience=ENDLESS),
         sensing=rules.sensing,
         camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
         mapping=MapSettings(*size, cell_size=CELL_SIZE),
@@ -139,9 +139,9 @@ def summarize_drives(drives: Sequence[DriveResult], oracle: Sequence[DriveResult
       oracle: drives from the same starts with a known map.
     """
     extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
-    low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
+    mean, low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
     return {
-        "extra": float(np.mean(extra)),
+        "extra": mean,
         "extra_low": low,
         "extra_high": high,
         "median_extra": float(np.median(extra)),

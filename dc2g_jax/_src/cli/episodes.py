@@ -4,10 +4,10 @@ import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from dc2g_jax._src.datasets.houses import HouseDataset
-from dc2g_jax._src.datasets.starts import Start, published_episodes
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import HouseDataset
+from dc2g_jax._src.readers.starts import Start, published_episodes
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Planners, Runner, by_name
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable

@@ -9,15 +9,15 @@ import tyro
 from jaxtyping import Bool, UInt8
 
 from dc2g_jax._src.cli.outputs import CommandOptions
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.maps import Goal, draw_map
-from dc2g_jax._src.datasets.occupancy import YAML_ENDINGS, read_occupancy_map
-from dc2g_jax._src.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import read_palette
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.maps import Goal, draw_map
+from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
+from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
 
 #: Start of an episode: column, row and heading.
 StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]

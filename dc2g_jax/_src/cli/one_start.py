@@ -13,19 +13,19 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, SharedOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.figures.animation import animate
+from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectories
+from dc2g_jax._src.figures.replay import replay_result
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax._src.inspection.animation import animate
-from dc2g_jax._src.inspection.episode_figures import plot_episode, plot_trajectories
-from dc2g_jax._src.inspection.recording import record_frames
-from dc2g_jax._src.inspection.replay import replay_result
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.viewer.recording import record_frames
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9

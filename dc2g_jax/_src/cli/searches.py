@@ -9,16 +9,15 @@ import tyro
 
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import print_files
-from dc2g_jax._src.datasets.houses import PROCEDURAL
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.objectnav.agent import CONTROLLER, Agent
-from dc2g_jax._src.objectnav.evaluation import SearchResult, difference, results_of
-from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
-from dc2g_jax._src.objectnav.tables import with_interval
+from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import CONTROLLER, Agent
+from dc2g_jax._src.search_indoors.search.evaluation import SearchResult, difference, results_of, with_interval
+from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, Search, sample_episodes, search_all
 
 #: Printed below every table.
 _CAVEAT = (
@@ -140,17 +139,14 @@ def conclude(
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
     print(f"\n{table}\n{_CAVEAT}")
     for name, gain in gains.items():
-        success, spl = (
-            with_interval(value, interval, "+")
-            for value, interval in ((gain.success, gain.success_interval), (gain.spl, gain.spl_interval))
-        )
+        success, spl = (with_interval(value, "+") for value in gain.values())
         print(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
     found = {
         "houses": [house.name for house in houses],
         "split": options.split,
         "note": _CAVEAT,
         **facts,
-        "differences": {name: gain._asdict() for name, gain in gains.items()},
+        "differences": gains,
     }
     write_json(out / "results.json", found)
     print_files(out)

@@ -8,17 +8,17 @@ from typing import Annotated, Any, Literal, NamedTuple
 import tyro
 
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.image_evaluation import metrics_over_pairs
 from dc2g_jax._src.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
-from dc2g_jax._src.training.step import TrainingState, supervised_step
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import TrackerName
 from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining, first_state, run_key
 
@@ -125,7 +125,7 @@ def train_translator(
     """
     require_steps(options.steps, out)
     begin, mesh = partial(first_state, seed=seed), mesh_for_batch(config.batch_size)
-    pairs = replicate((run_key(seed), data.train), mesh)
+    pairs, key = replicate((data.train, run_key(seed)), mesh)
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
@@ -158,10 +158,10 @@ def train_translator(
     task = Task(
         steps=options.steps,
         init=partial(begin, config),
-        step=lambda state: supervised_step(state, pairs, training=training, mesh=mesh),
+        step=lambda state: supervised_step(state, pairs, key, training=training, mesh=mesh),
         validate=validate,
         validated=Log(out).by_step(),
-        place=partial(replicate, mesh=mesh),
+        place=partial(placed, mesh=mesh),
         name=out.name,
         steps_per_look=_STEPS_PER_LOOK,
         learning_rate=lambda step: config.learning_rate,

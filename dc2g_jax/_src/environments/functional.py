@@ -6,7 +6,7 @@ Functions take one robot; use `jax.vmap` for batches. A whole training loop fits
     observation, state = environment.reset(key, params)
     observation, state, reward, terminated, truncated, info = environment.step(key, state, action, params)
 
-An episode starts on the road of a random house (`datasets.starts.start_cells`), in a random heading. Every
+An episode starts on the road of a random house (`readers.starts.start_cells`), in a random heading. Every
 action costs 1, so the return is minus the number of steps. The episode terminates when the robot stands on a front
 door after an action, and is truncated at the step limit. Actions are those of `grid.poses`: 0 forward, 1 turn
 left, 2 turn right. A robot that drives against an obstacle stays in place. Any other action does nothing;
@@ -24,8 +24,6 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
-from dc2g_jax._src.datasets.houses import House, stack_worlds
-from dc2g_jax._src.datasets.starts import start_cells, why_no_episode
 from dc2g_jax._src.environments import spaces
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid import bitboard, gridworld
@@ -34,6 +32,8 @@ from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.readers.houses import House, stack_worlds
+from dc2g_jax._src.readers.starts import start_cells, why_no_episode
 from dc2g_jax._src.rollouts.rollout import NO_ACTION, STEP_LIMIT
 
 #: Reward of every action.

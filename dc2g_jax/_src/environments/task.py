@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax._src.datasets.starts import usable_houses, why_no_episode
 from dc2g_jax._src.environments.functional import SENSING_RANGE, FrontDoor, Params, front_door, whole_number
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.poses import HEADINGS, Pose, make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR
+from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
+from dc2g_jax._src.readers.starts import usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 
 _START = ("house", "x", "y", "heading")
@@ -25,7 +25,7 @@ class FrontDoorTask:
 
     Args:
       dataset: folder of houses, the word `procedural`, or an open dataset, which environments can share; `None` for the
-        published houses, see `datasets.houses.open_dataset`.
+        published houses, see `readers.houses.open_dataset`.
       split: `train`, `val` or `test`. Houses in which no episode can be run are left out.
       sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
@@ -134,7 +134,7 @@ def make_env(
     Args:
       name: `FrontDoor-v0`.
       dataset: folder of houses, the word `procedural`, or an open dataset; `None` for the published houses, see
-        `datasets.houses.open_dataset`.
+        `readers.houses.open_dataset`.
       split: `train`, `val` or `test`. Houses in which no episode can be run are left out.
       sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.

@@ -147,7 +147,7 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
     return kind, known, facts.get("sha256")
 
 
-def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
+def network_in_folder(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
     """Load a network of any kind saved by `save_network`.
 
     Args:

@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 
 from dc2g_jax._src.errors import InputError, require_extra, short
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainedNetwork, load_network, reason, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainedNetwork, network_in_folder, reason, save_network
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.own_parts import is_own_part, own_part
@@ -60,7 +60,7 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def load(place: str | os.PathLike[str] | None = None) -> Estimator:
+def load_network(place: str | os.PathLike[str] | None = None) -> Estimator:
     """Load a planner's network of any kind, or an estimator of the user's own.
 
     Args:
@@ -69,11 +69,11 @@ def load(place: str | os.PathLike[str] | None = None) -> Estimator:
 
     Raises:
       InputError: there is no estimator of that name; see also `local_folder` and
-        `estimation.checkpoints.load_network`, which checks the SHA-256 of the weights.
+        `estimation.checkpoints.network_in_folder`, which checks the SHA-256 of the weights.
     """
     if isinstance(place, str) and is_own_part(place):
         return _own_estimator(place)
-    return load_network(None if place is None else local_folder(place))
+    return network_in_folder(None if place is None else local_folder(place))
 
 
 def _own_estimator(name: str) -> Estimator:

@@ -185,13 +185,13 @@ class _PlainLoader(yaml.SafeLoader):
         return node
 
 
-def read_yaml(path: Path, remedy: str, *, at_most: int = 2**14) -> Any:
-    """The value of a YAML document.
+def read_yaml(path: Path, remedy: str) -> Any:
+    """The value of a YAML document of at most 16 KiB.
 
     Raises:
       InputError: see `check_file`, or the file is not YAML, has aliases, or is nested deeply.
     """
-    text = read_text(path, remedy, at_most=at_most)
+    text = read_text(path, remedy, at_most=2**14)
     try:
         return yaml.load(text, _PlainLoader)
     except yaml.MarkedYAMLError as error:

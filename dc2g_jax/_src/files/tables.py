@@ -14,16 +14,14 @@ from dc2g_jax._src.files.reading import check_file, opened, read_lines
 _LONGEST_LINE, _LARGEST_TABLE = 2**20, 2**22
 
 
-def read_table(
-    path: Path, columns: Sequence[str], *, optional: Sequence[str] = (), remedy: str
-) -> list[tuple[int, dict[str, str]]]:
+def read_table(path: Path, columns: Sequence[str], *, remedy: str) -> list[tuple[int, dict[str, str]]]:
     """Read the named columns of a CSV file with a header row; see `table_lines`.
 
     Returns:
         Its rows; at least one.
     """
     check_file(path, remedy, at_most=_LARGEST_TABLE)
-    return list(table_lines(path, columns, optional=optional, remedy=remedy))
+    return list(table_lines(path, columns, remedy=remedy))
 
 
 def table_lines(

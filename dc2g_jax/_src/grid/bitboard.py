@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
 from dc2g_jax._src.grid.loops import for_each_until, repeated, until
+from dc2g_jax._src.programs import apart
 
 WORD_BITS = 32
 
@@ -49,10 +50,14 @@ def pack(cells: Bool[Array, "h w *batch"]) -> Board:
 
 def unpack(board: Board, width: int) -> Bool[Array, "h w *batch"]:
     """Unpack a board into a boolean grid of `width` columns."""
-    n_words, height, *batch = board.shape
-    place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
-    bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
-    return bits.reshape(height, n_words * WORD_BITS, *batch)[:, :width].astype(bool)
+
+    def unpacked(board: Board) -> Bool[Array, "h w *batch"]:
+        n_words, height, *batch = board.shape
+        place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
+        bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
+        return bits.reshape(height, n_words * WORD_BITS, *batch)[:, :width].astype(bool)
+
+    return apart(unpacked, board)
 
 
 def full(height: int, width: int) -> UInt32[np.ndarray, "n_words h"]:
@@ -67,12 +72,17 @@ def complement(board: Board, width: int) -> Board:
     return ~board & full(1, width).reshape(-1, *(1 for _ in board.shape[1:]))
 
 
+def word_and_bit(x: Int[Array, "*batch"]) -> tuple[Int[Array, "*batch"], UInt32[Array, "*batch"]]:
+    """Word and bit of a column. `//` and `%` also handle signs, which takes many times as long as shift and mask."""
+    return x >> (WORD_BITS.bit_length() - 1), (x & (WORD_BITS - 1)).astype(jnp.uint32)
+
+
 def single(x: Int[Array, "*batch"], y: Int[Array, "*batch"], n_words: int, height: int) -> Board:
     """The board that holds the one cell in column `x`, row `y`, which must be in bounds."""
     shape = (n_words, height, *x.shape)
     word, row = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-    bit = jnp.left_shift(jnp.uint32(1), (x % WORD_BITS).astype(jnp.uint32))
-    return jnp.where((row == y) & (word == x // WORD_BITS), bit, jnp.uint32(0))
+    own_word, bit = word_and_bit(x)
+    return jnp.where((row == y) & (word == own_word), jnp.uint32(1) << bit, jnp.uint32(0))
 
 
 def _word_at(board: Board, word: Int[Array, "*batch"], row: Int[Array, "*batch"]) -> UInt32[Array, "*batch"]:
@@ -84,8 +94,8 @@ def _word_at(board: Board, word: Int[Array, "*batch"], row: Int[Array, "*batch"]
 
 def contains(board: Board, x: Int[Array, "*batch"], y: Int[Array, "*batch"]) -> Bool[Array, "*batch"]:
     """Whether the set contains the cell in column `x`, row `y`, which must be in bounds."""
-    word = _word_at(board, x // WORD_BITS, y)
-    return ((word >> (x % WORD_BITS).astype(jnp.uint32)) & 1) == 1
+    word, bit = word_and_bit(x)
+    return ((_word_at(board, word, y) >> bit) & 1) == 1
 
 
 def is_empty(board: Board) -> Bool[Array, "*batch"]:
@@ -109,7 +119,8 @@ def first(board: Board) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
     word, row = (jax.lax.broadcasted_iota(jnp.int32, board.shape, axis) for axis in (0, 1))
     beyond = n_words * height
     number = jnp.min(jnp.where(board != 0, row * n_words + word, beyond), axis=(0, 1))
-    first_row, first_word = jnp.divmod(jnp.where(number == beyond, 0, number), n_words)
+    number = jnp.where(number == beyond, 0, number).astype(jnp.uint32)
+    first_row, first_word = (part.astype(jnp.int32) for part in jnp.divmod(number, jnp.uint32(n_words)))
     bits = _word_at(board, first_word, first_row)
     lowest_bit = jax.lax.population_count((bits & (~bits + jnp.uint32(1))) - jnp.uint32(1)).astype(jnp.int32)
     return jnp.where(bits == 0, 0, first_word * WORD_BITS + lowest_bit), first_row
@@ -183,7 +194,8 @@ def cells_that_see(targets: Board, offsets: Offsets) -> Board:
     n_words, height, *batch = targets.shape
     rows = max((abs(dy) for dys in by_column.values() for dy in dys), default=0)
     words = max((word_count(abs(dx)) for dx in by_column), default=0)
-    framed = jnp.pad(targets, [(words, words), (rows, rows)] + [(0, 0) for _ in batch])
+    padding = [(words, words), (rows, rows)] + [(0, 0) for _ in batch]
+    framed = apart(functools.partial(jnp.pad, pad_width=padding), targets)
 
     def rows_together(dys: list[int], first_word: int) -> Board:
         columns = framed[words + first_word : words + first_word + n_words]

@@ -15,7 +15,7 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose, moved
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.windows import window_around
-from dc2g_jax._src.grid.world import World, world_from_terrain
+from dc2g_jax._src.grid.world import World
 
 
 @struct.dataclass
@@ -90,5 +90,5 @@ def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h 
       observed: class index of every cell, 0 for unobserved cells; see `grid.terrain`.
       pose: pose of the robot.
     """
-    world = world_from_terrain(observed)
+    world = World.from_terrain(observed)
     return belief_of(world, pose, jnp.zeros_like(pose.x), functools.reduce(jnp.bitwise_or, world.classes))

@@ -46,13 +46,13 @@ def make_pose(x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Pose:
 
 def moved(pose: Pose, action: Int[Array, "*batch"], height: int, width: int) -> Pose:
     """The pose after an action. A robot that would leave the map stays in place."""
-    delta = jnp.asarray(FORWARD, jnp.int32)[pose.heading]
+    delta = jnp.asarray(FORWARD, jnp.int32)[pose.heading.astype(jnp.uint32)]
     forward = action == FORWARD_ACTION
     turn = jnp.where(action == LEFT_ACTION, -1, jnp.where(action == RIGHT_ACTION, 1, 0)).astype(jnp.int32)
     return Pose(
         x=jnp.clip(pose.x + jnp.where(forward, delta[..., 0], 0), 0, width - 1),
         y=jnp.clip(pose.y + jnp.where(forward, delta[..., 1], 0), 0, height - 1),
-        heading=(pose.heading + turn) % HEADINGS,
+        heading=(pose.heading + turn) & (HEADINGS - 1),
     )
 
 
@@ -99,8 +99,13 @@ def pack(poses: Bool[Array, "heading h w *batch"]) -> PoseSet:
     return jnp.stack([bitboard.pack(grid) for grid in poses])
 
 
-def one_action_on(poses: PoseSet, forward: int = 1) -> PoseSet:
-    """The poses one action after those of the set, on any cells; or one action before them if `forward` is -1."""
-    ahead = jnp.stack([bitboard.shift(poses[i], forward * dx, forward * dy) for i, (dx, dy) in enumerate(FORWARD)])
+def grown(poses: PoseSet, free: Board, forward: int = 1) -> PoseSet:
+    """The set with the poses on free cells one action after its own; or one action before them if `forward` is -1."""
     along_x, along_y = poses[0] | poses[2], poses[1] | poses[3]
-    return ahead | jnp.stack([along_y, along_x, along_y, along_x])
+    # A single stack: compilers make no vector code of loops over several.
+    return jnp.stack(
+        [
+            poses[heading] | free & (bitboard.shift(poses[heading], forward * dx, forward * dy) | turned)
+            for heading, ((dx, dy), turned) in enumerate(zip(FORWARD, (along_y, along_x) * 2, strict=True))
+        ]
+    )

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.loops import for_each_until, repeated, until
-from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, one_action_on, only
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, only
 from dc2g_jax._src.grid.shifting import shifted
 
 #: Wavefront steps between checks for growth on a CPU. Most searches end before the first check.
@@ -46,7 +46,7 @@ def _search(
     start: PoseSet,
     active: Bool[Array, "*batch"],
     free: Board,
-    grown: Callable[[PoseSet], PoseSet],
+    forward: int,
     targets: Any,
     reached_of: Callable[[PoseSet, Any], Bool[Array, "target *batch"]],
 ) -> tuple[Bool[Array, "target *batch"], Int[Array, "*batch"]]:
@@ -58,7 +58,7 @@ def _search(
       start: first poses of the wavefront.
       active: whether there is anything to search for.
       free: cells that the wavefront may cover.
-      grown: maps a pose set to the poses one action after (or before) it.
+      forward: 1 to grow along the actions, -1 to grow against them.
       targets: where to arrive; arrays with the batch axes last.
       reached_of: `(pose set, targets) ->` which of the targets are in the set. A search ends once any of them is.
 
@@ -67,7 +67,7 @@ def _search(
     """
 
     def grow(search: _Search, free: Board, targets: Any) -> _Search:
-        reached = search.reached | (grown(search.reached) & jnp.where(search.active, free, jnp.uint32(0)))
+        reached = poses.grown(search.reached, free & -search.active.astype(jnp.uint32), forward)
         arrived = jnp.any(reached_of(reached, targets), axis=0)
         return _Search(reached, search.length + search.active, search.active & ~arrived)
 
@@ -140,8 +140,7 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
 
     there = poses.contains(start, pose)
     active = ~there & bitboard.contains(free, pose.x, pose.y) & ~poses.is_empty(start)
-    one_action_before = functools.partial(one_action_on, forward=-1)
-    actions, length = _search(start, active, free, one_action_before, next_poses, closer)
+    actions, length = _search(start, active, free, -1, next_poses, closer)
     actions &= active
     on_the_way = jnp.any(actions, axis=0)
     return FirstAction(
@@ -168,7 +167,7 @@ def first_headings(
 
     start = only(pose, *free.shape[:2]) & free
     active = bitboard.contains(free, pose.x, pose.y) & bitboard.contains(free, x, y)
-    return _search(start, active, free, one_action_on, (x, y), there)[0]
+    return _search(start, active, free, 1, (x, y), there)[0]
 
 
 #: Base-2 logarithm of the wavefront steps between changes of the high planes.
@@ -198,7 +197,7 @@ def _count(pose: Pose, free: Board) -> tuple[PoseSet, PoseSet, UInt32[Array, "bi
 
     def grow(number: Array, carry: tuple[PoseSet, Array]) -> tuple[PoseSet, Array]:
         reached, low = carry
-        reached = reached | (one_action_on(reached) & free)
+        reached = poses.grown(reached, free)
         return reached, flipped(low, trailing_ones(number), ~reached)
 
     def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:

@@ -7,6 +7,7 @@ is its parent. Batch axes come last, see `grid.bitboard`.
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 
 import jax
@@ -18,6 +19,7 @@ from scipy import ndimage
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import WORD_BITS, Board
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
+from dc2g_jax._src.programs import apart
 
 #: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
 MAX_SENSING_RANGE = 64
@@ -79,18 +81,21 @@ class Kernel:
           width: columns of the grid.
         """
         del opaque
-        height, radius = targets.shape[1], self.radius
-        frame = [(radius, radius), (radius, radius), *((0, 0) for _ in targets.shape[2:])]
+        (height, *batch), radius = targets.shape[1:], self.radius
+        frame = [(radius, radius), (radius, radius), *((0, 0) for _ in batch)]
         framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
-        # Without the barrier, a GPU would unpack every cell again for each offset. A CPU is faster without it.
-        framed = jax.lax.platform_dependent(framed, cpu=lambda cells: cells, default=jax.lax.optimization_barrier)
+        # All robots in one row, so that a few of them fill a vector. Without the barrier, a GPU would unpack every cell
+        # again for each offset.
+        robots = math.prod(batch)
+        rows = jax.lax.optimization_barrier(framed.reshape(height + 2 * radius, -1))
 
-        def counted(offsets: tuple[tuple[int, int], ...]) -> Array:
+        def counted(offsets: tuple[tuple[int, int], ...], rows: Array) -> Array:
             # Many small integers fit into a vector: this is faster than sharing work between neighboring cells.
-            views = (framed[radius + dy :, radius + dx :][:height, :width] for dx, dy in offsets)
+            views = (rows[radius + dy :, robots * (radius + dx) :][:height, : robots * width] for dx, dy in offsets)
             return functools.reduce(jnp.add, views)
 
-        return jnp.stack([counted(offsets) for offsets in self.offsets])
+        counts = [apart(functools.partial(counted, offsets), rows) for offsets in self.offsets]
+        return jnp.stack(counts).reshape(HEADINGS, height, width, *batch)
 
     @property
     def _count(self) -> type:

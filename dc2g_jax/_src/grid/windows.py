@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, UInt32
 
-from dc2g_jax._src.grid.bitboard import WORD_BITS
+from dc2g_jax._src.grid.bitboard import WORD_BITS, word_and_bit
 from dc2g_jax._src.grid.poses import Pose
 
 _Boards = TypeVar("_Boards")
@@ -68,6 +68,6 @@ def window_around(pose: Pose, words: int, rows: int, grid: tuple[int, int]) -> W
       grid: words in a row of the grid, and its rows. A window is not larger.
     """
     words, rows = min(words, grid[0]), min(rows, grid[1])
-    word = (pose.x[0] - WORD_BITS // 2 * (words - 1)) // WORD_BITS
+    word, _ = word_and_bit(pose.x[0] - WORD_BITS // 2 * (words - 1))
     row = pose.y[0] - rows // 2
     return Window(jnp.clip(word, 0, grid[0] - words), jnp.clip(row, 0, grid[1] - rows), words, rows)

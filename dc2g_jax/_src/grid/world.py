@@ -28,6 +28,22 @@ class World:
     goals: UInt32[Array, "n_words h *batch"]
     width: int = struct.field(pytree_node=False)
 
+    @staticmethod
+    @jit
+    def from_terrain(classes: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"]) -> "World":
+        """The world of a grid of class indices; every front door cell is a goal.
+
+        Args:
+          classes: class index of every cell; trailing axes make a batch of worlds.
+        """
+        classes = jnp.asarray(classes, jnp.uint8)
+        return World(
+            classes=jnp.stack([bitboard.pack(((classes >> bit) & 1) == 1) for bit in range(terrain.CLASS_BITS)]),
+            traversable=bitboard.pack(jnp.asarray(terrain.TRAVERSABLE)[classes]),
+            goals=bitboard.pack(classes == terrain.FRONT_DOOR),
+            width=classes.shape[1],
+        )
+
     @property
     def height(self) -> int:
         """Rows of the map."""
@@ -53,19 +69,3 @@ class World:
         """Board of the cells of a class; for class 0, of the padding too."""
         planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(self.classes)]
         return functools.reduce(jnp.bitwise_and, planes)
-
-
-@jit
-def world_from_terrain(classes: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"]) -> World:
-    """The world of a grid of class indices; every front door cell is a goal.
-
-    Args:
-      classes: class index of every cell; trailing axes make a batch of worlds.
-    """
-    classes = jnp.asarray(classes, jnp.uint8)
-    return World(
-        classes=jnp.stack([bitboard.pack(((classes >> bit) & 1) == 1) for bit in range(terrain.CLASS_BITS)]),
-        traversable=bitboard.pack(jnp.asarray(terrain.TRAVERSABLE)[classes]),
-        goals=bitboard.pack(classes == terrain.FRONT_DOOR),
-        width=classes.shape[1],
-    )

@@ -9,7 +9,7 @@ from jaxtyping import Array, UInt8
 from dc2g_jax._src.grid.poses import Pose, every_heading, moved
 from dc2g_jax._src.grid.search import first_action
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping.camera import Frame, Intrinsics
 from dc2g_jax._src.mapping.scene import scene_from_terrain
 from dc2g_jax._src.mapping.sequences import Shot
@@ -19,7 +19,7 @@ from dc2g_jax._src.programs import jit
 
 def path_to_goal(terrain: UInt8[np.ndarray, "h w"], start: Pose) -> list[Pose]:
     """The poses of a shortest path from a start to the nearest goal, one per step. A path must exist."""
-    world = world_from_terrain(terrain)
+    world = World.from_terrain(terrain)
 
     @jit
     def step(pose: Pose) -> Pose:

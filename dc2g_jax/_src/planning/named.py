@@ -44,7 +44,7 @@ def _on_network(
         gain_weight=3.0,
         headings=facing_most,
         patience=patience,
-        enough_news=1 / 3,
+        replan_fraction=1 / 3,
         magnifies=isinstance(estimator, NetworkCostToGo),
     )
 
@@ -107,7 +107,7 @@ FIGURE_PLANNERS: tuple[str, ...] = ("oracle", "frontier", "dc2g", "dc2g_uncertai
 PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_paper", "dc2g_guarded", *RIVALS, *NETWORK_RIVALS)
 
 
-def make(
+def make_planner(
     name: str,
     *,
     network: Estimator | str | os.PathLike[str] | None = None,
@@ -117,13 +117,13 @@ def make(
     """Make a planner by name.
 
     ```
-    planner = dc2g_jax.make("dc2g", sensing_range=8)
+    planner = dc2g_jax.make_planner("dc2g", sensing_range=8)
     ```
 
     Args:
       name: one of `PLANNERS`, or `package.module:Name` for a class of your own, which is called with the rules.
       network: network of a planner in `NETWORK_PLANNERS`: an estimator, or the place of a trained network, see
-        `estimation.hub.load`; `None` for the shipped network.
+        `estimation.hub.load_network`; `None` for the shipped network.
       settings: the rules, one of `planning.rules.SETTINGS` or its name.
       sensing_range: range of the field of view in cells; `None` for the default of the settings.
 
@@ -132,10 +132,10 @@ def make(
         read.
     """
     rules = named_settings(settings).rules(sensing_range)
-    return make_planner(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
+    return planner_with(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
 
 
-def make_planner(
+def planner_with(
     name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
 ) -> MapRevisingPlanner:
     """Make a planner by name from rules and an estimator.
@@ -183,6 +183,6 @@ def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estima
     if network is not None and not isinstance(network, str | os.PathLike):
         return network
     # Orbax takes a second to import and is only needed for files.
-    from dc2g_jax._src.estimation.hub import load
+    from dc2g_jax._src.estimation.hub import load_network
 
-    return load(network)
+    return load_network(network)

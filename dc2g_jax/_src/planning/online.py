@@ -25,10 +25,10 @@ from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.poses import HEADINGS, Pose
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
-from dc2g_jax._src.planning.named import make
-from dc2g_jax._src.planning.planners import Assessment, Planner, assess, measured, memoryless
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.planners import Assessment, Planner, assess, distances_and_scores, memoryless
 from dc2g_jax._src.planning.rules import Rules, complete_rules
 from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
@@ -45,7 +45,7 @@ _OPEN_MARGIN = 24
 
 def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
     """The fields of a `View` of one robot, for use in compiled functions."""
-    distance, score = measured(belief, assessment)
+    distance, score = distances_and_scores(belief, assessment)
     subgoals, candidates = (
         poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
     )
@@ -59,7 +59,7 @@ def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"],
     def look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Any, ...]:
         observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
         belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
-        assessment, _ = assess(planner, belief, planner.init(world_from_terrain(observed)), rules)
+        assessment, _ = assess(planner, belief, planner.init(World.from_terrain(observed)), rules)
         return view_fields(belief, assessment)
 
     return one_operation(look, planner, terrain, pose)
@@ -86,7 +86,7 @@ class OnlinePlanner:
 
     Args:
       planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
-      network: estimator of a planner by name, or the place of a trained network, see `estimation.hub.load`;
+      network: estimator of a planner by name, or the place of a trained network, see `estimation.hub.load_network`;
         `None` for the shipped one.
       sensing_range: range of the robot's 90-degree field of view, in cells, 1 to 64.
       largest: rows and columns of the largest map.
@@ -125,7 +125,7 @@ class OnlinePlanner:
                 raise InputError(
                     f"planner {planner!r}: use one of {', '.join(ONLINE_PLANNERS)}, or give one of your own"
                 )
-            planner = make(planner, network=network, settings=settings, sensing_range=reach)
+            planner = make_planner(planner, network=network, settings=settings, sensing_range=reach)
         self.rules: Rules = getattr(planner, "rules", complete_rules(reach))
         if self.rules.sensing.radius != reach:
             raise InputError(f"sensing_range {reach}: the planner's rules say {self.rules.sensing.radius}; give that")

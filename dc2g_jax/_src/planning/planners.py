@@ -194,7 +194,7 @@ def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[
     return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
 
 
-def measured(
+def distances_and_scores(
     belief: Belief, assessment: Assessment
 ) -> tuple[Int[Array, "heading h w *batch"], Float[Array, "h w *batch"]]:
     """Actions from the robot to every pose, -1 for unreachable poses; and scores, NaN for cells without candidates."""
@@ -317,8 +317,8 @@ class DC2G(AssessingPlanner):
       headings: selects among the nearest headings of a cell, if the score depends on distance: all of them, or
         `planning.frontiers.facing_most`.
       patience: penalty for staying near promising cells that reveal no goal.
-      enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
-        also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
+      replan_fraction: share of the cells in the field of view that must be newly seen before the planner decides anew;
+        it also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
       magnifies: whether the estimator is given a part of the map of a town, see
         `estimation.extents.Surroundings`.
       memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
@@ -332,7 +332,7 @@ class DC2G(AssessingPlanner):
     gain_weight: float = struct.field(pytree_node=False, default=0.0)
     headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
-    enough_news: float = struct.field(pytree_node=False, default=0.0)
+    replan_fraction: float = struct.field(pytree_node=False, default=0.0)
     magnifies: bool = struct.field(pytree_node=False, default=False)
     memory: bool = struct.field(pytree_node=False, default=True)
     batch_per_core: ClassVar[int] = 64
@@ -467,7 +467,7 @@ class DC2G(AssessingPlanner):
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
         news = bitboard.count(belief.seen ^ state.choice.estimated_from)
-        enough = max(1, round(self.enough_news * len(self.rules.sensing.offsets[0])))
+        enough = max(1, round(self.replan_fraction * len(self.rules.sensing.offsets[0])))
         # Robots that do not explore need no subgoal.
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
         inputs = belief, reachable, revealing, decided_near, state.estimator

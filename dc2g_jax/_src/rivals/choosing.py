@@ -105,11 +105,11 @@ class ChoosingPlanner(AssessingPlanner):
 
     Attributes:
       rules: field of view and definition of frontiers.
-      enough_news: share of the cells in the field of view that has to be newly seen before the planner chooses anew.
+      replan_fraction: share of the cells in the field of view that must be newly seen before the planner chooses anew.
     """
 
     rules: Rules = struct.field(pytree_node=False)
-    enough_news: float = struct.field(pytree_node=False, default=math.inf)
+    replan_fraction: float = struct.field(pytree_node=False, default=math.inf)
     #: A choice is made for some robots at a time.
     batch_per_core: ClassVar[int] = 32
 
@@ -142,7 +142,7 @@ class ChoosingPlanner(AssessingPlanner):
         reachable = reachable_cells(belief, state.reachable)
         candidates = exploring_poses(belief, reachable, self.rules)
         news = bitboard.count(belief.seen ^ state.chosen_from)
-        enough = max(1.0, self.enough_news * len(self.rules.sensing.offsets[0]))
+        enough = max(1.0, self.replan_fraction * len(self.rules.sensing.offsets[0]))
         outdated = (news >= enough) | poses.is_empty(state.subgoals & candidates)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         state = update_where(self._choose, outdated & undecided, (belief, reachable, candidates), state)

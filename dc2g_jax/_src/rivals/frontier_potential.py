@@ -27,7 +27,7 @@ class FrontierPotential(ChoosingPlanner):
     """
 
     estimator: Estimator = struct.field(kw_only=True)
-    enough_news: float = struct.field(pytree_node=False, default=1.0)
+    replan_fraction: float = struct.field(pytree_node=False, default=1.0)
     alpha: float = struct.field(pytree_node=False, default=0.5)
     farthest: float = struct.field(pytree_node=False, default=50.0)
 

@@ -20,7 +20,7 @@ class Hysteresis(ChoosingPlanner):
       margin: actions by which another pose has to be nearer.
     """
 
-    enough_news: float = struct.field(pytree_node=False, default=0.0)
+    replan_fraction: float = struct.field(pytree_node=False, default=0.0)
     margin: float = struct.field(pytree_node=False, default=3.0)
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:

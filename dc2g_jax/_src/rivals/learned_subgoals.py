@@ -77,7 +77,7 @@ class LearnedSubgoals(ChoosingPlanner):
     """
 
     estimator: Estimator = struct.field(kw_only=True)
-    enough_news: float = struct.field(pytree_node=False, default=1.0)
+    replan_fraction: float = struct.field(pytree_node=False, default=1.0)
     failure: float = struct.field(pytree_node=False, default=2.0)
     #: With more, the long program of a choice would be compiled for several batch sizes.
     batch_per_core: ClassVar[int] = 8

@@ -86,7 +86,7 @@ class SampledGoals(ChoosingPlanner):
     """
 
     estimator: Estimator = struct.field(kw_only=True)
-    enough_news: float = struct.field(pytree_node=False, default=1.0)
+    replan_fraction: float = struct.field(pytree_node=False, default=1.0)
     samples: int = struct.field(pytree_node=False, default=16)
     temperature: float = struct.field(pytree_node=False, default=4.0)
     failure: float = struct.field(pytree_node=False, default=2.0)

@@ -18,7 +18,7 @@ from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, every_heading, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
-from dc2g_jax._src.grid.world import World, world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.programs import jit
@@ -60,7 +60,7 @@ def _robots() -> tuple[World, Episodes]:
     x, y, heading = np.tile(np.array(_STARTS).T, n_worlds)
     world = np.repeat(np.arange(n_worlds, dtype=np.int32), len(_STARTS))
     x = np.where(world == 1, width - 1 - x, x)
-    return world_from_terrain(maps), Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
+    return World.from_terrain(maps), Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
 
 
 def _one(tree: Any, index: Any) -> Any:

@@ -4,13 +4,13 @@ Pieces of work are dealt out round-robin: of n devices, device i gets the pieces
 axis of dealt arrays is that of the devices.
 """
 
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -18,8 +18,8 @@ from jaxtyping import Array, Bool, Int
 
 from dc2g_jax._src.errors import InputError
 
-#: The mesh's only axis.
-AXIS = "devices"
+#: The mesh's axis, and the one that trainings of several runs have before it.
+AXIS, RUNS = "devices", "runs"
 
 #: A pytree of arrays.
 _State = TypeVar("_State")
@@ -131,9 +131,17 @@ def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
     return Mesh(np.array(jax.devices() if devices is None else devices), (AXIS,))
 
 
-def mesh_for_batch(size: int) -> Mesh:
-    """All devices of all processes if they can share a batch of this size equally, otherwise one of this process."""
-    return mesh_of(jax.local_devices()[:1] if size % jax.device_count() else None)
+def mesh_for_batch(size: int, runs: int = 1) -> Mesh:
+    """A mesh for training: runs are divided among its first axis, the batch of each run among its second.
+
+    As many devices share a batch of this size as can do so equally, and on a CPU all work on one run. If some device of
+    several processes would be left over, each process works on its own, on one device.
+    """
+    groups = 1 if platform(mesh_of()) == "cpu" else math.gcd(runs, jax.device_count())
+    each = math.gcd(size, jax.device_count() // groups)
+    if jax.process_count() > 1 and groups * each < jax.device_count():
+        return Mesh(np.array(jax.local_devices()[:1]).reshape(1, 1), (RUNS, AXIS))
+    return Mesh(np.array(jax.devices()[: groups * each]).reshape(groups, each), (RUNS, AXIS))
 
 
 def settle(tree: Any) -> None:
@@ -176,7 +184,7 @@ def deal(tree: Any, count: int, mesh: Mesh, own: int | None = None) -> Any:
     own = -(-count // mesh.size) if own is None else own
     numbers = np.stack([np.resize(np.arange(first, count, mesh.size), own) for first in range(mesh.size)])
     sharding = NamedSharding(mesh, PartitionSpec(AXIS))
-    return jax.tree.map(lambda leaf: jax.device_put(leaf[numbers], sharding), tree)
+    return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[numbers], sharding), tree)
 
 
 def dealt_counts(count: int, mesh: Mesh) -> Int[np.ndarray, "devices"]:
@@ -253,8 +261,7 @@ def batched(mesh: Mesh) -> Callable[..., Any]:
 
 def serve_paced(
     state: _State,
-    go_on: Callable[[_State, Int[Array, ""]], _State],
-    count_finished: Callable[[_State], Int[Array, "devices"]],
+    go_on: Callable[[_State, np.int32], tuple[_State, Int[Array, "devices"]]],
     n_pieces: int,
     on_progress: Callable[[int], None] | None = None,
     *,
@@ -264,8 +271,8 @@ def serve_paced(
 
     Args:
       state: the first state.
-      go_on: `(state, steps) ->` the state after at most `steps` more steps of each piece.
-      count_finished: `state ->` number of pieces that each device has finished.
+      go_on: `(state, steps) ->` the state after at most `steps` more steps of each piece, and the number of pieces that
+        each device has finished.
       n_pieces: total number of pieces.
       on_progress: called with the number of finished pieces, before the first call and after each call.
       first_steps: steps of the first call.
@@ -273,8 +280,6 @@ def serve_paced(
     Returns:
       The state in which all pieces are finished.
     """
-    # Zero steps: this call only compiles the program.
-    state = jax.block_until_ready(go_on(state, jnp.int32(0)))
     finished, steps = 0, first_steps
     while True:
         if on_progress is not None:
@@ -282,9 +287,10 @@ def serve_paced(
         if finished >= n_pieces:
             return state
         began = time.perf_counter()
-        state = go_on(state, jnp.int32(steps))
-        finished = min(int(fetch(count_finished(state)).sum()), n_pieces)
+        state, counts = go_on(state, np.int32(steps))
+        finished = min(int(fetch(counts).sum()), n_pieces)
+        # Low if the call also compiled the program: the next one is short.
         pace = steps / (time.perf_counter() - began)
-        steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * steps))
+        steps = max(1, int(pace * _SECONDS_PER_CALL))
         if jax.process_count() > 1:  # all make the same number of calls
             steps = int(multihost_utils.broadcast_one_to_all(np.int32(steps)))

@@ -11,15 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.datasets.houses import (
-    PROCEDURAL,
-    House,
-    HouseDataset,
-    open_dataset,
-    procedural_dataset,
-    stack_worlds,
-)
-from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.files.cache import keep_compiled_programs
@@ -30,9 +21,18 @@ from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
+from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
+from dc2g_jax._src.readers.houses import (
+    PROCEDURAL,
+    House,
+    HouseDataset,
+    open_dataset,
+    procedural_dataset,
+    stack_worlds,
+)
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import write_rows
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -50,7 +50,7 @@ _ROUNDING = 0.1
 #: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
 PlannerSource = str | Planner | Callable[[Rules], Planner]
 
-#: Names for `make_planner`; or a mapping from a name of your choice to one of these, or to another source.
+#: Names for `planner_with`; or a mapping from a name of your choice to one of these, or to another source.
 Planners = Iterable[str] | Mapping[str, PlannerSource]
 
 
@@ -211,7 +211,7 @@ class Runner:
             raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
         self.step_limit = step_limit
         self._progress = progress
-        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], Int[np.ndarray, episodes]] = {}
+        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], np.ndarray] = {}
 
     def rules(self, start: Start) -> Rules:
         """The rules of an episode.
@@ -441,7 +441,7 @@ def evaluate(
 def _made(name: str, source: PlannerSource, rules: Rules, estimator: Estimator | None) -> Planner:
     """Make a planner and check that it uses the episodes' field of view."""
     if isinstance(source, str):
-        return make_planner(source, rules, estimator)
+        return planner_with(source, rules, estimator)
     ready = hasattr(source, "plan") and not isinstance(source, type)
     planner: Any = source if ready else source(rules)  # type: ignore[operator]
     sensing = getattr(planner, "rules", rules).sensing

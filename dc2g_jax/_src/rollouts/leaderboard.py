@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dc2g_jax._src.datasets.families import family_of
+from dc2g_jax._src.readers.families import family_of
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
 
@@ -71,8 +71,8 @@ def _logarithms(results: Iterable[EpisodeResult], limit: Mapping[str, int]) -> d
 
 def _relative(difference: np.ndarray, maps: Sequence[str]) -> tuple[float, float, float]:
     """Geometric mean of ratios, given as logarithms, and its interval over maps."""
-    low, high = house_bootstrap(difference, maps, resamples=_RESAMPLES, seed=_SEED)
-    return math.exp(float(np.mean(difference))), math.exp(low), math.exp(high)
+    mean, low, high = house_bootstrap(difference, maps, resamples=_RESAMPLES, seed=_SEED)
+    return math.exp(mean), math.exp(low), math.exp(high)
 
 
 def standings(results: Sequence[EpisodeResult], limit: Mapping[str, int], reference: str = "frontier") -> Standings:

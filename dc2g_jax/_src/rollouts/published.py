@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from dc2g_jax._src.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax._src.readers.starts import PublishedEpisode, published_episodes
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 from dc2g_jax._src.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap
@@ -109,7 +109,7 @@ def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[
     shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
 
     def interval(values: np.ndarray) -> list[float]:
-        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
+        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)[1:]]
 
     faster, authors_faster = _frontier_over_dc2g(pairs)
     return {

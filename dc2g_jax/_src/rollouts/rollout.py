@@ -230,8 +230,12 @@ def _record(state: _State) -> _State:
 def _run(
     states: _State, n_steps: Int[Array, ""], queues: _Queue, planner: Planner,
     *, mesh: Mesh, sensing: Kernel, step_limit: int,
-) -> _State:  # fmt: skip
-    """Take at most `n_steps` planner steps in every slot of every device, and refill slots as robots finish."""
+) -> tuple[_State, Int[Array, "devices"]]:  # fmt: skip
+    """Take at most `n_steps` planner steps in every slot of every device, and refill slots as robots finish.
+
+    Returns:
+      The state, and the number of finished episodes on each device.
+    """
 
     def run(state: _State, queue: _Queue, n_steps: Int[Array, ""], planner: Planner) -> _State:
         def few_finished(slots: _Slots) -> Bool[Array, ""]:
@@ -258,13 +262,8 @@ def _run(
     def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
         return one_operation(run, *dealt, n_steps, planner)
 
-    return on_each(own, mesh, (states, queues), n_steps, planner)
-
-
-@jit
-def _finished(states: _State) -> Int[Array, "devices"]:
-    """Number of finished episodes on each device."""
-    return states.seated - jnp.sum(states.slots.active, axis=-1)
+    states = on_each(own, mesh, (states, queues), n_steps, planner)
+    return states, states.seated - jnp.sum(states.slots.active, axis=-1)
 
 
 @functools.partial(jit, static_argnames=("mesh", "sensing", "n_slots", "kept_steps"))
@@ -343,7 +342,7 @@ def rollout(
         kept_steps=step_limit if keep_actions else None,
     )  # fmt: skip
     go_on = functools.partial(_run, queues=queues, planner=planner, mesh=mesh, sensing=sensing, step_limit=step_limit)
-    states = serve_paced(states, go_on, _finished, n_episodes, on_progress, first_steps=_FIRST_STEPS)
+    states = serve_paced(states, go_on, n_episodes, on_progress, first_steps=_FIRST_STEPS)
     results = gather(states.results, n_episodes)
     actions = results.actions if keep_actions else np.zeros((n_episodes, 0), np.int8)
     return Trajectories(actions, results.steps, results.success, results.mode)

@@ -61,7 +61,7 @@ def summarize(
     if len(extra) == 0:
         raise ValueError("no episode to summarize")
     low, median, high = np.percentile(extra, (25, 50, 75))
-    interval = () if houses is None else house_bootstrap(extra, houses, resamples=_RESAMPLES, seed=_SEED)
+    interval = () if houses is None else house_bootstrap(extra, houses, resamples=_RESAMPLES, seed=_SEED)[1:]
     return Summary(
         float(np.mean(extra)), float(median), float(low), float(high), float(np.mean(success)), len(extra), *interval
     )
@@ -93,10 +93,18 @@ def tabulate(episodes: Iterable[ExtraSteps], groups: tuple[str, ...]) -> dict[st
     }
 
 
+class Mean(NamedTuple):
+    """A mean with the lower and upper end of its interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
 def house_bootstrap(
     values: Sequence[float] | np.ndarray, houses: Sequence[str], *, resamples: int, seed: int, share: float = 0.95
-) -> tuple[float, float]:
-    """Bootstrap interval of a mean over episodes. It resamples houses, since episodes of a house are not independent.
+) -> Mean:
+    """A mean over episodes, with its bootstrap interval over houses, since episodes of a house are not independent.
 
     For a paired comparison, give the differences.
 
@@ -108,7 +116,7 @@ def house_bootstrap(
       share: share of the bootstrap means inside the interval, 0 to 1.
 
     Returns:
-      Lower and upper end. With a single house, both are the mean.
+      The mean, and the ends of its interval. With a single house, all are the mean.
 
     Raises:
       ValueError: there are no values.
@@ -122,4 +130,4 @@ def house_bootstrap(
         drawn = rng.integers(len(names), size=(len(part), len(names)))
         part[:] = totals[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
     low, high = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
-    return float(low), float(high)
+    return Mean(float(np.mean(values)), float(low), float(high))

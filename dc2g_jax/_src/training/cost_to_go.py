@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -11,17 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import struct
-from jax.sharding import Mesh, NamedSharding, PartitionSpec as P
 from jaxtyping import Array, Float, Int, UInt32
 
-from dc2g_jax._src.datasets.pairs import Pair
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import mesh_of, platform, settle
 from dc2g_jax._src.training.losses import LOSSES, map_loss, named_loss
-from dc2g_jax._src.training.step import TrainingState, state_of, updated
+from dc2g_jax._src.training.pairs import Pair
+from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 
 #: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
@@ -134,16 +131,17 @@ def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
     return config.learning_rate * np.asarray(rates)
 
 
-def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
-    """AdamW with clipped gradients, for a peak learning rate of 1."""
-    adamw = optax.adamw(_learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)
+def _optimizer(recipe: TrainingConfig, peak: Float[Array, ""] | float) -> optax.GradientTransformation:
+    """AdamW with clipped gradients, for a peak learning rate."""
+    schedule = _learning_rate_schedule(recipe)
+    adamw = optax.adamw(lambda step: peak * schedule(step), weight_decay=recipe.weight_decay)
     return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 
 def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The state before the first step."""
     weights = compact_unet.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
-    return state_of(weights, optimizer(recipe), recipe.average_decay)
+    return state_of(weights, _optimizer(recipe, 1.0), recipe.average_decay)
 
 
 def first_state(config: TrainingConfig) -> TrainingState:
@@ -168,167 +166,41 @@ def mean_loss(
     return jnp.sum(jnp.stack([mean(name, loss_weights[number]) for number, (name, _) in enumerate(recipe.losses)]))
 
 
-def _updated(
-    recipe: TrainingConfig,
-    state: TrainingState,
-    hyperparameters: Hyperparameters,
-    loss: Float[Array, ""],
-    gradient: Any,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """The state of one run after one step, and its loss, see `training.step.updated`."""
-    rate, decay = hyperparameters.learning_rate, recipe.average_decay
-    return updated(state, loss, gradient, optimizer(recipe), average_decay=decay, rate=rate)
+@dataclasses.dataclass(frozen=True)
+class CostToGoTraining(Supervised):
+    """Training of a cost-to-go network.
 
-
-@functools.cache
-def _layout(mesh: Mesh, n_runs: int) -> Mesh:
-    """A mesh with two axes: runs are divided among the first, each run's batches among the second."""
-    groups = math.gcd(n_runs, mesh.size)
-    return Mesh(mesh.devices.reshape(groups, -1), (_RUNS, _PARTS))
-
-
-def _stacked(tree: Any, like: TrainingState) -> Any:
-    """Arrays with an axis of runs, which is added for a single run."""
-    return jax.tree.map(lambda leaf: leaf[None], tree) if like.step.ndim == 0 else tree
-
-
-def _own_parts(recipe: TrainingConfig, layout: Mesh) -> int:
-    """Parts of a batch per device. Surplus devices repeat the work of others."""
-    return recipe.parts // math.gcd(recipe.parts, layout.shape[_PARTS])
-
-
-# Pairs and gradients are two programs: in a single one, the compiler would recompute the pairs for each use.
-@functools.partial(jit, static_argnames=("layout", "recipe", "draw_batch"))
-def _draw(
-    state: TrainingState, hyperparameters: Hyperparameters, data: Any, runs: Int[Array, "k"], parts: Int[Array, "p"],
-    *, layout: Mesh, recipe: TrainingConfig, draw_batch: DrawBatch,
-) -> Pair:  # fmt: skip
-    """Draw, on each device, some of its parts of the batches of some of its runs: `[runs, devices of a run, pairs]`."""
-    own_parts = _own_parts(recipe, layout)
-
-    def own(steps: Array, hyperparameters: Hyperparameters, data: Any, runs: Array, parts: Array) -> Pair:
-        first = jax.lax.axis_index(_PARTS) * own_parts % recipe.parts
-
-        def of_run(run: Array) -> Pair:
-            numbers = jax.tree.map(lambda leaf: leaf[run], hyperparameters)
-
-            def part(number: Array) -> Pair:
-                step, place = steps[run], first + number
-                # A part only depends on the seed, the step and its number, so training can be resumed anywhere.
-                of_batches = jax.random.fold_in(jax.random.key(numbers.seed), 1)
-                key = jax.random.fold_in(jax.random.fold_in(of_batches, step), place)
-                return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
-
-            return jax.tree.map(lambda leaf: leaf.reshape(1, -1, *leaf.shape[2:]), jax.vmap(part)(parts))
-
-        return jax.vmap(of_run)(runs)
-
-    specs = (P(_RUNS), P(_RUNS), P(), P(), P())
-    mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=P(_RUNS, _PARTS), check_vma=False)
-    steps, numbers = _stacked((state.step, hyperparameters), state)
-    return mapped(steps, numbers, data, runs, parts)
-
-
-@functools.partial(jit, static_argnames=("layout", "recipe"))
-def _gradient(
-    state: TrainingState, hyperparameters: Hyperparameters, batch: Pair, runs: Int[Array, "k"],
-    *, layout: Mesh, recipe: TrainingConfig,
-) -> tuple[Float[Array, "runs devices"], Any]:  # fmt: skip
-    """Losses and gradients of the batches of `_draw`."""
-
-    def own(weights: Any, loss_weights: Array, batch: Pair, runs: Array) -> tuple[Array, Any]:
-        def of_run(weights: Any, loss_weights: Array, batch: Pair) -> tuple[Array, Any]:
-            own_batch = jax.tree.map(lambda leaf: leaf[0], batch)
-            found = jax.value_and_grad(functools.partial(mean_loss, recipe, loss_weights))(weights, own_batch)
-            return jax.tree.map(lambda leaf: leaf[None], found)
-
-        weights, loss_weights = jax.tree.map(lambda leaf: leaf[runs], (weights, loss_weights))
-        if len(runs) > 1:
-            return jax.vmap(of_run)(weights, loss_weights, batch)
-        weights, loss_weights, batch = jax.tree.map(lambda leaf: leaf[0], (weights, loss_weights, batch))
-        return jax.tree.map(lambda leaf: leaf[None], of_run(weights, loss_weights, batch))
-
-    specs = (P(_RUNS), P(_RUNS), P(_RUNS, _PARTS), P())
-    mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=P(_RUNS, _PARTS), check_vma=False)
-    weights, loss_weights = _stacked((state.weights, hyperparameters.loss_weights), state)
-    return mapped(weights, loss_weights, batch, runs)
-
-
-@functools.partial(jit, static_argnames=("layout", "recipe"), donate_argnames=("state",))
-def _update(
-    state: TrainingState, hyperparameters: Hyperparameters, found: Sequence[Sequence[tuple[Array, Any]]],
-    *, layout: Mesh, recipe: TrainingConfig,
-) -> tuple[TrainingState, Float[Array, "*runs"]]:  # fmt: skip
-    """The state after one step, and the loss, on every device. `found` has losses and gradients of each run's parts."""
-
-    def mean(*parts: Array) -> Array:
-        return jax.lax.pmean(sum(parts) / len(parts), _PARTS)
-
-    def own(states: TrainingState, hyperparameters: Hyperparameters, found: Sequence[Sequence[Any]]) -> Any:
-        means = [jax.tree.map(mean, *of_run) for of_run in found]
-        loss, gradient = jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:, 0], *means)
-        new, losses = jax.vmap(functools.partial(_updated, recipe))(states, hyperparameters, loss, gradient)
-        return new, jax.lax.all_gather(losses, _RUNS, tiled=True)
-
-    specs, out_specs = (P(_RUNS), P(_RUNS), P(_RUNS, _PARTS)), (P(_RUNS), P())
-    mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=out_specs, check_vma=False)
-    states, numbers = _stacked((state, hyperparameters), state)
-    updated = mapped(states, numbers, found)
-    return jax.tree.map(lambda leaf: leaf[0], updated) if state.step.ndim == 0 else updated
-
-
-def train_step(
-    state: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-    mesh: Mesh | None = None,
-) -> tuple[TrainingState, Float[Array, "*runs"]]:
-    """Take one optimizer step of one run, or of several whose states are stacked.
-
-    Runs are divided among the devices, and each run's batch among up to eight devices of the run. A CPU processes one
-    part of one batch at a time, within its caches; an accelerator processes everything at once. The batch of a step
-    only depends on the seed and the step number, so resumed training is bit-identical to uninterrupted training on the
-    same devices. With another number of devices, a step differs by rounding, about 1e-6 of a weight. Steps are not
-    combined into a longer program: inside a `scan`, XLA's CPU backend computes gradients of convolutions about ten
-    times slower.
-
-    If the loss or weights of a run would not be finite, the run keeps its weights, and its loss is NaN.
-
-    Args:
-      state: state of a run, or stacked states; donated.
-      hyperparameters: hyperparameters of the run, or stacked ones.
-      data: data for `draw_batch`, best replicated already, see `rollouts.devices.replicate`.
+    Attributes:
       recipe: static part of the configuration, the same for all runs.
       draw_batch: draws pairs.
-      mesh: devices to train on; `None` for all.
-
-    Returns:
-      The new state and the loss, or those of each run.
     """
-    layout = _layout(mesh_of() if mesh is None else mesh, state.step.size)
-    sharding = NamedSharding(layout, P() if state.step.ndim == 0 else P(_RUNS))
-    if state.step.sharding != sharding:  # also where it lies alike: programs are compiled for how it is written
-        state = jax.device_put(state, sharding)
-    own_runs, own_parts = state.step.size // layout.shape[_RUNS], _own_parts(recipe, layout)
-    one_at_a_time = platform(layout) == "cpu"
-    runs, parts = (
-        np.split(np.arange(count, dtype=np.int32), count if one_at_a_time else 1) for count in (own_runs, own_parts)
-    )
 
-    def found(some_runs: np.ndarray, some_parts: np.ndarray) -> tuple[Array, Any]:
-        batch = _draw(
-            state, hyperparameters, data, some_runs, some_parts, layout=layout, recipe=recipe, draw_batch=draw_batch
-        )
-        return _gradient(state, hyperparameters, batch, some_runs, layout=layout, recipe=recipe)
+    recipe: TrainingConfig
+    draw_batch: DrawBatch
 
-    of_runs = [[found(some_runs, some_parts) for some_parts in parts] for some_runs in runs]
-    settle(of_runs)
-    new = _update(state, hyperparameters, of_runs, layout=layout, recipe=recipe)
-    settle(new)
-    return new
+    @property
+    def average_decay(self) -> float:
+        """That of the recipe."""
+        return self.recipe.average_decay
+
+    def optimizer(self, hyperparameters: Hyperparameters) -> optax.GradientTransformation:
+        """AdamW with clipped gradients."""
+        return _optimizer(self.recipe, hyperparameters.learning_rate)
+
+    def draw(self, data: Any, step: Int[Array, ""], hyperparameters: Hyperparameters) -> Pair:
+        """The pairs of a step, which only depend on the seed, the step and the number of parts."""
+        of_step = jax.random.fold_in(jax.random.fold_in(jax.random.key(hyperparameters.seed), 1), step)
+        keys = jax.vmap(functools.partial(jax.random.fold_in, of_step))(jnp.arange(self.recipe.parts))
+        draw = functools.partial(self.draw_batch, batch_size=self.recipe.batch_size // self.recipe.parts)
+        parts = jax.vmap(draw, in_axes=(0, None))(keys, data)
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), parts)
+
+    def gradient(
+        self, state: TrainingState, batch: Pair, hyperparameters: Hyperparameters
+    ) -> tuple[Float[Array, ""], Any]:
+        """The mean loss of a batch, and its gradient."""
+        loss = functools.partial(mean_loss, self.recipe, hyperparameters.loss_weights)
+        return jax.value_and_grad(loss)(state.weights, batch)
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Pair) -> Float[Array, ""]:

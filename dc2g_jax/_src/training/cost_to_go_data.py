@@ -10,22 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt8
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset, stack_worlds
-from dc2g_jax._src.datasets.pairs import Pair, TrainingSet, draw_pairs
-from dc2g_jax._src.datasets.procedural import procedural_training_houses
-from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.mapping.noise import IN_MAPS, noisy_map, scaled
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.procedural import procedural_training_houses
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.training.cost_to_go import DrawBatch
 from dc2g_jax._src.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners
+from dc2g_jax._src.training.pairs import Pair, TrainingSet, draw_pairs
 
 #: Seed of the procedural validation houses. Seeds of training must be below it.
 _VALIDATION_SEED = 10_000
@@ -94,7 +94,7 @@ class DataConfig:
 
     @property
     def draw_batch(self) -> DrawBatch:
-        """The function that draws the pairs of a step; see `datasets.pairs.draw_pairs`."""
+        """The function that draws the pairs of a step; see `training.pairs.draw_pairs`."""
         return functools.partial(
             draw_pairs,
             own_share=self.own_share,
@@ -192,7 +192,7 @@ def observation_masks(
         if network is None:
             leaders = leading_planners(rules, *houses[0].terrain.shape, seed=config.data_seed)
         else:
-            leaders = [make_planner("dc2g", rules, network)]
+            leaders = [planner_with("dc2g", rules, network)]
         for turn, planner in enumerate(leaders):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
             starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
@@ -261,7 +261,7 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
     Args:
       dataset: dataset of the validation houses.
       count: number of pairs.
-      edge_weight: see `datasets.pairs.make_pair`.
+      edge_weight: see `training.pairs.make_pair`.
     """
     own = usable_houses(dataset, "val")
     height, width = own[0].terrain.shape

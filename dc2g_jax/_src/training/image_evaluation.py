@@ -9,15 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax._src.estimation.estimators import Estimator, TranslatorCostToGo
 from dc2g_jax._src.estimation.images import cost_to_go_image, largest_cost
 from dc2g_jax._src.estimation.metrics import Comparison, ImageMetrics, compare_images
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.training.image_pairs import (
     GRID_CELLS,
     ImageSet,
@@ -27,6 +26,7 @@ from dc2g_jax._src.training.image_pairs import (
     labeled_map,
     masked_map,
 )
+from dc2g_jax._src.training.similarity import distance_to_training, similarity_scale
 
 #: Side length, in pixels, of the maps for the comparison with training maps.
 _COMPARED_SIZE = 256
@@ -44,7 +44,7 @@ def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, 
 
 def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float[Array, "s s"]:
     """The expected cost-to-go of traversable cells; infinity elsewhere."""
-    cost = jnp.mean(estimator.estimate(terrain, estimator.init(world_from_terrain(terrain))), axis=0)
+    cost = jnp.mean(estimator.estimate(terrain, estimator.init(World.from_terrain(terrain))), axis=0)
     return jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Int8, UInt32
 
-from dc2g_jax._src.datasets.masks import Moments, moments_along
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.grid.sensing import Kernel
@@ -21,6 +20,7 @@ from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.training.masks import Moments, moments_along
 
 _EPISODES_PER_CALL = 128
 

@@ -1,17 +1,19 @@
 """One optimizer step: the state of a training, the update of its weights, and the step on a batch of all devices."""
 
 import functools
+import operator
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import divide
+from dc2g_jax._src.rollouts.devices import RUNS, divide, platform, replicate, settle
 
 
 @struct.dataclass
@@ -37,22 +39,26 @@ class TrainingState:
 
 
 class Supervised(Protocol):
-    """What is trained, on what. Hashable, so that it can be a static argument of `jit`."""
+    """What is trained, on what. Hashable, so that it can be a static argument of `jit`.
+
+    Runs that only differ in their `hyperparameters`, a tree of arrays such as the seed, share a compiled step, and can
+    be trained together. It is `None` where there are none.
+    """
 
     @property
     def average_decay(self) -> float:
         """Decay of the running average of the weights; 0 for none."""
         return 0.0
 
-    def optimizer(self) -> optax.GradientTransformation:
-        """The optimizer with its learning rate."""
+    def optimizer(self, hyperparameters: Any) -> optax.GradientTransformation:
+        """The optimizer with its learning rate. Its initial state must not depend on the hyperparameters."""
         ...
 
-    def draw(self, data: Any, step: Int[Array, ""]) -> Any:
+    def draw(self, data: Any, step: Int[Array, ""], hyperparameters: Any) -> Any:
         """The batch of a step: arrays whose first axis is that of the examples."""
         ...
 
-    def gradient(self, state: TrainingState, data: Any, batch: Any) -> tuple[Float[Array, ""], Any]:
+    def gradient(self, state: TrainingState, batch: Any, hyperparameters: Any) -> tuple[Float[Array, ""], Any]:
         """The loss of a batch, or what is shown as such, and the gradient of the weights."""
         ...
 
@@ -63,35 +69,27 @@ def state_of(weights: Any, optimizer: optax.GradientTransformation, average_deca
     return TrainingState(step=jnp.int32(0), weights=weights, average=average, optimizer=optimizer.init(weights))
 
 
+def placed(state: TrainingState, mesh: Mesh) -> TrainingState:
+    """The state on the devices of a mesh: whole on each, or the stacked runs divided among them."""
+    return jax.device_put(state, NamedSharding(mesh, PartitionSpec(RUNS) if state.step.ndim else PartitionSpec()))
+
+
 def _running_average(average: Any, weights: Any, step: Int[Array, ""], decay: float) -> Any:
     """The running average of the weights after one more step. Early on, its decay is smaller."""
     kept = jnp.minimum(decay, (1.0 + step) / (10.0 + step))
     return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
 
 
-def updated(
+def _updated(
     state: TrainingState,
     loss: Float[Array, ""],
     gradient: Any,
     optimizer: optax.GradientTransformation,
-    *,
     average_decay: float,
-    rate: Float[Array, ""] | float = 1.0,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """The state after one step, and its loss.
-
-    If the loss or a weight would not be finite, the state is kept, but for the number of steps, and the loss is NaN.
-
-    Args:
-      state: state before the step.
-      loss: loss of the step's batch.
-      gradient: gradient of the weights.
-      optimizer: optimizer.
-      average_decay: decay of the running average of the weights.
-      rate: factor of the optimizer's learning rate.
-    """
+    """The state after one step, and its loss, see `supervised_step`."""
     updates, optimizer_state = optimizer.update(gradient, state.optimizer, state.weights)
-    weights = jax.tree.map(lambda w, u: w + rate * u, state.weights, updates)
+    weights = optax.apply_updates(state.weights, updates)
     average = None
     if state.average is not None:
         average = _running_average(state.average, weights, state.step, average_decay)
@@ -102,18 +100,76 @@ def updated(
     return kept.replace(step=new.step), loss
 
 
-@functools.partial(jit, static_argnames=("training", "mesh"), donate_argnames="state")
-def supervised_step(
-    state: TrainingState, data: Any, *, training: Supervised, mesh: Mesh
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimizer step, with the batch divided among the devices of a mesh. The old state is donated.
+def _each_run(function: Callable[..., Any], state: TrainingState) -> Callable[..., Any]:
+    """The function of one run, or of each of several runs, which are divided among the devices."""
+    return function if state.step.ndim == 0 else jax.vmap(function, spmd_axis_name=RUNS)
 
-    A batch only depends on the data and the number of the step, so interrupted and resumed training gives the same
-    weights as training without interruption.
+
+# Batches and weights are two programs: in a single one, the compiler would compute a batch anew for each of its uses.
+@functools.partial(jit, static_argnames=("training", "mesh"))
+def draw_batches(state: TrainingState, data: Any, hyperparameters: Any, *, training: Supervised, mesh: Mesh) -> Any:
+    """The batch of a step of each run, divided among the devices."""
+
+    def of_run(state: TrainingState, hyperparameters: Any) -> Any:
+        return divide(training.draw(data, state.step, hyperparameters), mesh)
+
+    return _each_run(of_run, state)(state, hyperparameters)
+
+
+@functools.partial(jit, static_argnames=("training",), donate_argnames="state")
+def learn(
+    state: TrainingState, batch: Any, hyperparameters: Any, *, training: Supervised
+) -> tuple[TrainingState, Float[Array, "*runs"]]:
+    """The state of each run after a step on its batch, and its loss, see `supervised_step`."""
+
+    def of_run(state: TrainingState, batch: Any, hyperparameters: Any) -> tuple[TrainingState, Float[Array, ""]]:
+        loss, gradient = training.gradient(state, batch, hyperparameters)
+        return _updated(state, loss, gradient, training.optimizer(hyperparameters), training.average_decay)
+
+    return _each_run(of_run, state)(state, batch, hyperparameters)
+
+
+@jit
+def _unstacked(runs: Any) -> list[Any]:
+    return [jax.tree.map(operator.itemgetter(run), runs) for run in range(len(jax.tree.leaves(runs)[0]))]
+
+
+@jit
+def _stacked(runs: list[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *runs)
+
+
+def supervised_step(
+    state: TrainingState, data: Any, hyperparameters: Any = None, *, training: Supervised, mesh: Mesh
+) -> tuple[TrainingState, Float[Array, "*runs"]]:
+    """Take one optimizer step of one run, or of several whose states are stacked. The old state is donated.
+
+    The batch is divided among the devices of a mesh, and so are the runs, which a CPU takes one after another, see
+    `rollouts.devices.mesh_for_batch`. A batch only depends on the data, the hyperparameters and the number of the step,
+    so interrupted and resumed training gives the same weights as training without interruption on the same devices.
+    With another number of devices, a step differs by rounding. Steps are not combined into a longer program: inside a
+    `scan`, XLA's CPU backend computes gradients of convolutions about ten times slower.
+
+    If the loss or a weight of a run would not be finite, its state is kept, but for the number of steps, and its loss
+    is NaN.
+
+    Args:
+      state: state of a run, or stacked states.
+      data: what batches are drawn from, the same for all runs.
+      hyperparameters: those of the run, or stacked ones.
+      training: what is trained.
+      mesh: the devices.
 
     Returns:
-      The new state and the loss, see `updated`.
+      The new state and the loss, or those of each run.
     """
-    batch = divide(training.draw(data, state.step), mesh)
-    loss, gradient = training.gradient(state, data, batch)
-    return updated(state, loss, gradient, training.optimizer(), average_decay=training.average_decay)
+    if state.step.ndim and platform(mesh) == "cpu":
+        # Its cores are busy with one run, and convolutions over a stack of weights are slower.
+        step = functools.partial(supervised_step, data=data, training=training, mesh=mesh)
+        runs = replicate(_unstacked((state, hyperparameters)), mesh)
+        return _stacked([step(one, hyperparameters=numbers) for one, numbers in runs])
+    batch = draw_batches(state, data, hyperparameters, training=training, mesh=mesh)
+    settle(batch)
+    new = learn(state, batch, hyperparameters, training=training)
+    settle(new)
+    return new

@@ -11,14 +11,15 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
-from dc2g_jax._src.datasets.pairs import Pair
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import fetch
-from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, init_state, mean_error
+from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, init_state, mean_error
 from dc2g_jax._src.training.losses import parse_losses
+from dc2g_jax._src.training.pairs import Pair
+from dc2g_jax._src.training.step import TrainingState
 
 #: Batch size of validation pairs.
 _PAIRS_AT_A_TIME = 64

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,30 +11,30 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from dc2g_jax._src.datasets.houses import HouseDataset, open_dataset
-from dc2g_jax._src.datasets.starts import usable_houses
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_of, replicate, require_memory
+from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
+from dc2g_jax._src.readers.starts import usable_houses
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.rollouts.evaluation import Results, evaluate
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.cost_to_go import (
+    CostToGoTraining,
     TrainingConfig,
-    TrainingState,
     first_state,
     learning_rates,
     least_memory,
-    train_step,
 )
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task
 from dc2g_jax._src.training.losses import losses_as_text
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image, TrackerName
 from dc2g_jax._src.training.training_sets import open_training_set
 
@@ -42,7 +43,7 @@ PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)
 
 
 class Recording(Protocol):
-    """Shows a training, see `inspection.training_recording.TrainingRecording`."""
+    """Shows a training, see `viewer.training_recording.TrainingRecording`."""
 
     def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
         """Show a loss."""
@@ -103,7 +104,7 @@ def _network_to_begin_with(
       InputError: the network has another architecture.
     """
     folder = local_folder(place)
-    network = load_network(folder)
+    network = network_in_folder(folder)
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
         raise InputError(
             f"{place}: is a network of another architecture; give --architecture, --patch, --embedding, --widths and "
@@ -206,12 +207,11 @@ def _task(
     watching: Watching,
 ) -> Task[TrainingState]:
     """The training task. It starts from `network`, if given. Validations save the network with its card."""
-    recipe, hyperparameters, draw, recording = (
-        config.recipe, config.hyperparameters, data.draw_batch, watching.recording
-    )  # fmt: skip
+    training, hyperparameters = CostToGoTraining(config.recipe, data.draw_batch), config.hyperparameters
+    recording, mesh = watching.recording, mesh_for_batch(config.batch_size)
     # Raises before minutes of data collection.
     validation = Validation(dataset, progress=EpisodeProgress(leave=False)) if pauses.validate_every else None
-    pairs = replicate(open_training_set(out, dataset, data, network), mesh_of())
+    pairs = replicate(open_training_set(out, dataset, data, network), mesh)
     rates, picture = learning_rates(config), watching.picture
 
     validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
@@ -242,7 +242,8 @@ def _task(
     return Task(
         steps=config.steps,
         init=init,
-        step=lambda state: train_step(state, hyperparameters, pairs, recipe=recipe, draw_batch=draw),
+        step=lambda state: supervised_step(state, pairs, hyperparameters, training=training, mesh=mesh),
+        place=functools.partial(placed, mesh=mesh),
         validate=validate,
         validated=validated if (out / "network").exists() else (),  # else the network is written again
         watch=watch,

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dc2g_jax._src.datasets.houses import HouseDataset, tell_on_stderr
-from dc2g_jax._src.datasets.pairs import TrainingSet
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.reading import read_arrays
+from dc2g_jax._src.readers.houses import HouseDataset, tell_on_stderr
 from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,
     check_masks,
@@ -21,6 +20,7 @@ from dc2g_jax._src.training.cost_to_go_data import (
     training_set,
 )
 from dc2g_jax._src.training.mask_collection import Masks, by_house
+from dc2g_jax._src.training.pairs import TrainingSet
 
 #: Collects an object with arrays as attributes. Takes a function to report the finished and the total number of parts.
 Collect = Callable[[Callable[[int, int], None]], object]

@@ -71,10 +71,6 @@ class TranslatorConfig:
 #: `(key of the run, step, data) -> batch`
 _DrawImages = Callable[[Array, Array, Any], ImagePair]
 
-#: The key of a run, as data, for the order of the pairs and dropout; and the pairs. Runs that differ in the seed alone
-#: share a compiled step.
-RunData = tuple[UInt32[Array, "2"], Any]
-
 
 def first_state(config: TranslatorConfig, *, seed: int) -> TrainingState:
     """The state before the first step; its weights are those of `generator` and `discriminator`.
@@ -92,7 +88,7 @@ def first_state(config: TranslatorConfig, *, seed: int) -> TrainingState:
 
 
 def run_key(seed: int) -> UInt32[Array, "2"]:
-    """The key of a run, see `RunData`."""
+    """The key of a run, as data, for the order of the pairs and dropout: the hyperparameter of `TranslatorTraining`."""
     return jax.random.key_data(jax.random.split(jax.random.key(seed), 3)[2])
 
 
@@ -138,20 +134,22 @@ class TranslatorTraining(Supervised):
     config: TranslatorConfig
     draw_batch: _DrawImages
 
-    def optimizer(self) -> optax.GradientTransformation:
+    def optimizer(self, hyperparameters: Any) -> optax.GradientTransformation:
         """Adam, for both networks. A discriminator that the loss does not use has no gradient and keeps its weights."""
         return _optimizer(self.config)
 
-    def draw(self, data: RunData, step: Int[Array, ""]) -> ImagePair:
+    def draw(self, data: Any, step: Int[Array, ""], hyperparameters: UInt32[Array, "2"]) -> ImagePair:
         """The pairs of a step, which only depend on the key of the run and the step."""
-        batch_key, _ = jax.random.split(jax.random.wrap_key_data(data[0]))
-        return self.draw_batch(batch_key, step, data[1])
+        batch_key, _ = jax.random.split(jax.random.wrap_key_data(hyperparameters))
+        return self.draw_batch(batch_key, step, data)
 
-    def gradient(self, state: TrainingState, data: RunData, batch: ImagePair) -> tuple[Float[Array, ""], Any]:
+    def gradient(
+        self, state: TrainingState, batch: ImagePair, hyperparameters: UInt32[Array, "2"]
+    ) -> tuple[Float[Array, ""], Any]:
         """The mean absolute error of the generated images, and the gradients of the losses of both networks."""
         config, architecture = self.config, self.config.architecture
         generator, discriminator = state.weights["generator"], state.weights["discriminator"]
-        _, dropout_key = jax.random.split(jax.random.wrap_key_data(data[0]))
+        _, dropout_key = jax.random.split(jax.random.wrap_key_data(hyperparameters))
         dropout_key = jax.random.fold_in(dropout_key, state.step)
         generated, backward = jax.vjp(
             lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), generator
@@ -163,7 +161,7 @@ class TranslatorTraining(Supervised):
             )
             # The generator is judged by the discriminator of after the step.
             gradient = {"generator": jax.tree.map(jnp.zeros_like, generator), "discriminator": of_discriminator}
-            updates, _ = self.optimizer().update(gradient, state.optimizer, state.weights)
+            updates, _ = self.optimizer(hyperparameters).update(gradient, state.optimizer, state.weights)
             discriminator = optax.apply_updates(discriminator, updates["discriminator"])
         loss_of = functools.partial(generator_loss, config, discriminator, batch)
         by_picture, difference = jax.grad(loss_of, has_aux=True)(generated)

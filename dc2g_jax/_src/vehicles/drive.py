@@ -27,7 +27,7 @@ from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.poses import HEADINGS, Pose, PoseSet, moved
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, NOTHING, TRAVERSABLE, UNKNOWN
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
 from dc2g_jax._src.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no_drift, noisy_frame
 from dc2g_jax._src.mapping.scene import Scene
@@ -176,7 +176,7 @@ def reset(
         missed=nowhere,
         no_door=nowhere,
         terrain=prior,
-        planner_state=equipment.planner.init(world_from_terrain(site.terrain)),
+        planner_state=equipment.planner.init(World.from_terrain(site.terrain)),
         path=path_through(jnp.tile(here, (_ACTIONS_AHEAD + 1, 1)), 1, start.heading, cell_size),
         decided_in=here,
         decided_on=prior,

@@ -123,24 +123,16 @@ def run_to_end(
       on_progress: called now and then with the number of episodes that have ended.
     """
     mesh = mesh_of()
-    go_on = functools.partial(_go_on, where, sites, components, limit, mesh=mesh, step=step)
-    ended = functools.partial(_ended, not_repeated(count, mesh), limit)
-    return serve_paced(robots, go_on, ended, count, on_progress, first_steps=first_steps)
-
-
-@jit
-def _ended(wanted: Bool[Array, "devices own"], limit: ArrayLike, robots: SimulatedRobot) -> Int[Array, "devices"]:
-    """Number of robots on each device whose episodes have ended."""
-    goes_on = jax.vmap(jax.vmap(lambda robot: is_driving(robot, limit)))(robots)
-    return jnp.sum(wanted & ~goes_on, axis=1)
+    go_on = functools.partial(_go_on, where, not_repeated(count, mesh), sites, components, limit, mesh=mesh, step=step)
+    return serve_paced(robots, go_on, count, on_progress, first_steps=first_steps)
 
 
 @functools.partial(jit, static_argnames=("mesh", "step"), donate_argnames=("robots",))
 def _go_on(
-    where: Int[Array, "devices own"], sites: Any, components: Any, limit: ArrayLike, robots: SimulatedRobot,
-    steps: ArrayLike, *, mesh: Mesh, step: Step,
-) -> SimulatedRobot:  # fmt: skip
-    """Every robot so many steps later, or at the end of its episode."""
+    where: Int[Array, "devices own"], wanted: Bool[Array, "devices own"], sites: Any, components: Any, limit: ArrayLike,
+    robots: SimulatedRobot, steps: ArrayLike, *, mesh: Mesh, step: Step,
+) -> tuple[SimulatedRobot, Int[Array, "devices"]]:  # fmt: skip
+    """Every robot so many steps later, or at the end of its episode; and how many of those wanted have ended."""
 
     def on_device(own: tuple[Array, Any], sites: Any, components: Any, limit: Array, steps: Array) -> Any:
         def one(number: Array, robot: Any) -> Any:
@@ -153,4 +145,6 @@ def _go_on(
 
         return batched(mesh)(one)(*own)
 
-    return on_each(on_device, mesh, (where, robots), sites, components, jnp.asarray(limit), jnp.asarray(steps))
+    robots = on_each(on_device, mesh, (where, robots), sites, components, jnp.asarray(limit), jnp.asarray(steps))
+    goes_on = jax.vmap(jax.vmap(lambda robot: is_driving(robot, limit)))(robots)
+    return robots, jnp.sum(wanted & ~goes_on, axis=1)

@@ -8,12 +8,12 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, terrain_of
 from dc2g_jax._src.cli.options import OutOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.map_report import map_report, map_warnings
-from dc2g_jax._src.datasets.maps import require_path_to_goal
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.figures.map_figures import plot_map
 from dc2g_jax._src.files.class_images import read_palette
-from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.inspection.map_figures import plot_map
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.readers.map_report import map_report, map_warnings
+from dc2g_jax._src.readers.maps import require_path_to_goal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +25,7 @@ def main(options: Options) -> None:
     """Read, report and draw the map. A map without a path to a goal is drawn too, then rejected."""
     terrain = terrain_of(options)
     out = output_folder(options, "check_map")
-    cost_to_go = np.asarray(world_cost_to_go(world_from_terrain(terrain)))
+    cost_to_go = np.asarray(world_cost_to_go(World.from_terrain(terrain)))
     lines = map_report(terrain, cost_to_go)
     lines += [f"warning: {line}" for line in map_warnings(terrain) + doubts_about(options)]
     title = f"{options.map.name}: {terrain.shape[1]} x {terrain.shape[0]} cells"

@@ -12,14 +12,14 @@ from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_plann
 from dc2g_jax._src.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import command_written, output_folder, print_files
-from dc2g_jax._src.datasets.families import FAMILIES, family_of, gather
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start, sample_starts
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.inspection.figures import plot_leaderboard
+from dc2g_jax._src.figures.results_figures import plot_leaderboard
 from dc2g_jax._src.own_parts import is_own_part
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS
 from dc2g_jax._src.planning.rules import named_settings
+from dc2g_jax._src.readers.families import FAMILIES, family_of, gather
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start, sample_starts
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, leaders, page, standings
 

@@ -12,8 +12,8 @@ import tyro
 from dc2g_jax._src.cli.common import DatasetOption, PlannersOption, check_planners, command_line
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions
 from dc2g_jax._src.errors import require_extra
-from dc2g_jax._src.estimation.hub import load
-from dc2g_jax._src.inspection.demo import open_maps
+from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.figures.demo import open_maps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,7 @@ def main(options: Options) -> None:
     token = secrets.token_urlsafe(24) if options.token is None else options.token
     check_token(token)
     check_planners(options.planner)
-    maps, network = open_maps(options.dataset), load(options.network)
+    maps, network = open_maps(options.dataset), load_network(options.network)
     serve(maps, options.planner, network, port=options.port, token=token, open_browser=not options.no_browser)
 
 

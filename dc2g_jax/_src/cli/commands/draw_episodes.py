@@ -11,11 +11,11 @@ from tqdm import tqdm
 from dc2g_jax._src.cli.common import PlannersOption, command_line
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.datasets.houses import group_of, open_dataset
-from dc2g_jax._src.datasets.starts import published_episodes
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.inspection.episode_figures import plot_trajectories
-from dc2g_jax._src.inspection.figures import plot_house_strips
+from dc2g_jax._src.figures.episode_figures import plot_trajectories
+from dc2g_jax._src.figures.results_figures import plot_house_strips
+from dc2g_jax._src.readers.houses import group_of, open_dataset
+from dc2g_jax._src.readers.starts import published_episodes
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import read_rows
 

@@ -6,9 +6,9 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, pixels_of, start_in, terrain_of
 from dc2g_jax._src.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax._src.cli.options import StepLimitOptions
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.map_report import unlike_training
-from dc2g_jax._src.datasets.maps import require_path_to_goal
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.map_report import unlike_training
+from dc2g_jax._src.readers.maps import require_path_to_goal
 
 
 @dataclasses.dataclass(frozen=True)

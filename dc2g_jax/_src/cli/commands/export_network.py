@@ -9,7 +9,7 @@ import tyro
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ def main(options: Options) -> None:
         raise InputError(f"{options.out}: exists already; give --out another file")
     from dc2g_jax._src.estimation.onnx_export import export_onnx  # needs the extra `onnx`
 
-    export_onnx(load(options.network), options.out)
+    export_onnx(load_network(options.network), options.out)
     print(f"Written: {options.out}, {options.out.stat().st_size / 1e6:.1f} MB")
 
 

@@ -10,12 +10,12 @@ from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import published_episodes
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.figures.results_figures import plot_head_to_head
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import write_table
-from dc2g_jax._src.inspection.figures import plot_head_to_head
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import published_episodes
 from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
 

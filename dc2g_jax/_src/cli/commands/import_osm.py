@@ -11,14 +11,14 @@ from tqdm import tqdm
 
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.outputs import CommandOptions, output_folder
-from dc2g_jax._src.datasets.maps import CELLS_FILE
-from dc2g_jax._src.datasets.osm.extract import ATTRIBUTION, read_extract
-from dc2g_jax._src.datasets.osm.neighborhood import Neighborhood
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import write_class_image, write_palette
 from dc2g_jax._src.files.tables import write_table
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, PATH, SIDEWALK
+from dc2g_jax._src.osm.extract import ATTRIBUTION, read_extract
+from dc2g_jax._src.osm.neighborhood import Neighborhood
+from dc2g_jax._src.readers.maps import CELLS_FILE
 
 #: Files beside the maps.
 _MAPS_FILE, _LEFT_OUT_FILE, _ATTRIBUTION_FILE, _ADDED_FOLDER = "maps.csv", "left_out.csv", "ATTRIBUTION.txt", "added"

@@ -14,20 +14,20 @@ from dc2g_jax._src.cli.common import ImageSizeOption, command_line
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.figures.map_figures import plot_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import UNKNOWN
-from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.inspection.camera_recording import record_mapping
-from dc2g_jax._src.inspection.map_figures import plot_map
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping import sequences
 from dc2g_jax._src.mapping.camera import intrinsics
 from dc2g_jax._src.mapping.scene import CELL_SIZE
 from dc2g_jax._src.mapping.semantic_map import MapSettings
 from dc2g_jax._src.mapping.simulated_drives import path_to_goal, simulated_shots
 from dc2g_jax._src.mapping.simulator import FIELD_OF_VIEW
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.viewer.camera_recording import record_mapping
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +92,7 @@ def main(options: Options) -> None:
     terrain, wrong = record_mapping(out / "recording.rrd", sequence, settings, name)
     np.save(out / "map.npy", terrain)
     title = f"{name}: {len(sequence.moments) - wrong} frames, {settings.columns} x {settings.rows} cells"
-    plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(world_from_terrain(terrain))))
+    plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(World.from_terrain(terrain))))
     known = terrain != UNKNOWN
     print(f"{title}; {np.sum(known):,} cells known")
     if sequence.skipped or wrong:

@@ -13,16 +13,16 @@ from dc2g_jax._src.cli.driving import DriveResult, DrivingOptions, drive, equipm
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.figures.driving_figures import plot_noise
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.resources import resource
-from dc2g_jax._src.inspection.driving_figures import plot_noise
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
@@ -68,7 +68,7 @@ def main(options: Options) -> None:
     if not options.levels or not all(0 <= level < math.inf for level in options.levels):
         raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, all of them from 0 on")
     dataset = open_dataset(options.dataset)
-    clean, noisy = load(options.network), load(options.noisy_network or resource(SHIPPED_NOISY_NETWORK))
+    clean, noisy = load_network(options.network), load_network(options.noisy_network or resource(SHIPPED_NOISY_NETWORK))
     networks: dict[str, Estimator] = {"clean": clean, "noisy": noisy}
     houses = usable_houses(dataset, options.split, instead="give another --split")
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)

@@ -18,21 +18,19 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.options import NetworkOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.cli.searches import SearchOptions
+from dc2g_jax._src.figures.search_animation import animate_search
+from dc2g_jax._src.figures.search_figures import Search, plot_prediction, plot_search
+from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.inspection.search_animation import animate_search
-from dc2g_jax._src.inspection.search_figures import plot_prediction, plot_search
-from dc2g_jax._src.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
-from dc2g_jax._src.inspection.search_recording import record_search
-from dc2g_jax._src.objectnav.agent import DECLARED
-from dc2g_jax._src.objectnav.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.objectnav.evaluation import results_of
-from dc2g_jax._src.objectnav.guides import TrueCost
-from dc2g_jax._src.objectnav.houses import indoor_house, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.named import AgentName, agent_with, costs_for
-from dc2g_jax._src.objectnav.searches import Searches, sample_episodes, search_for
-from dc2g_jax._src.objectnav.simulation import reset, site_of
-from dc2g_jax._src.objectnav.tables import AGENT_TITLES
+from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import DECLARED
+from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
+from dc2g_jax._src.search_indoors.search.guides import TrueCost
+from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
+from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, search_for, site_of
+from dc2g_jax._src.viewer.search_recording import record_search
 
 #: Number of moments in the figure.
 _COLUMNS = 5
@@ -73,7 +71,7 @@ def main(options: Options) -> None:
     site = site_of(house.world, house.name, agent)
     target = OBJECT_CLASSES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
-    first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
+    first = reset(jax.random.key(options.seed), (start, goal), agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 
@@ -83,15 +81,16 @@ def main(options: Options) -> None:
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     every = [moment_of(one, agent, options.agent) for one in begun]
     moments = [every[number] for number in choose_legs(to_goal, _COLUMNS)]
-    plot_search(out / "fig5", house.world, target, track, moments)
+    search = Search(house.world, target, track, every)
+    plot_search(out / "fig5", search._replace(moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if costs is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
-        distances = TrueCost().init(house.world, agent.controller.limits.radius)
-        prediction = prediction_at(last, site, distances, agent, costs)
+        truth = TrueCost().of_house(house.world, agent.controller.limits.radius)
+        prediction = prediction_at(last, site, truth, agent, costs)
         plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
-    animate_search(out / "search.gif", house.world, target, track, every)
-    record_search(out / "search.rrd", search_name, house.world, target, track, every)
+    animate_search(out / "search.gif", search)
+    record_search(out / "search.rrd", search_name, search)
     facts = {
         **result._asdict(),
         "goal_reacher_leads": [int(one.periods) for one in begun if one.guidance.to_goal],

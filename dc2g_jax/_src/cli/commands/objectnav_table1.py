@@ -14,10 +14,9 @@ from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.cli.searches import ComparisonOptions, conclude, run_searches
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.digests import tree_sha256
-from dc2g_jax._src.objectnav.evaluation import SearchResult, summarize
-from dc2g_jax._src.objectnav.named import AgentName, agent_with, costs_for
-from dc2g_jax._src.objectnav.tables import AGENT_TITLES, PAPER_TABLE1, table1
 from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, PAPER_TABLE1, SearchResult, summarize, table1
+from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,16 +16,22 @@ from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.cli.searches import ComparisonOptions, conclude, run_searches
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.digests import tree_sha256
-from dc2g_jax._src.objectnav.collecting import CollectionConfig, collect
-from dc2g_jax._src.objectnav.evaluation import SearchResult, summarize
-from dc2g_jax._src.objectnav.houses import IndoorHouse
-from dc2g_jax._src.objectnav.metrics import OF_CLASSES
-from dc2g_jax._src.objectnav.named import ON_NETWORK, agent_with, open_costs
-from dc2g_jax._src.objectnav.networks import ABLATIONS, CostMapEstimator
-from dc2g_jax._src.objectnav.predicted_costs import PredictedCosts
-from dc2g_jax._src.objectnav.tables import ABLATION_TITLES, METRICS, PAPER_TABLE2, table2
-from dc2g_jax._src.objectnav.training import CostMapConfig, figures, validation_samples
 from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect
+from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, CostMapEstimator
+from dc2g_jax._src.search_indoors.learning.training import CostMapConfig, figures, validation_samples
+from dc2g_jax._src.search_indoors.search.evaluation import (
+    ABLATION_TITLES,
+    METRICS,
+    PAPER_TABLE2,
+    SearchResult,
+    summarize,
+    table2,
+)
+from dc2g_jax._src.search_indoors.search.guides import PredictedCosts
+from dc2g_jax._src.search_indoors.search.named import ON_NETWORK, agent_with, open_costs
 
 #: Partial maps per prediction.
 _MAPS_A_BATCH = CostMapConfig.batch_size

@@ -16,36 +16,38 @@ import tyro
 from dc2g_jax._src.cli.common import check_seed, command_line
 from dc2g_jax._src.cli.options import TrainingOptions, require_positive
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
-from dc2g_jax._src.datasets.houses import PROCEDURAL
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.weights import write_network
 from dc2g_jax._src.files.atomic import replacing
-from dc2g_jax._src.objectnav.collecting import CollectionConfig, collect, random_views
-from dc2g_jax._src.objectnav.data import JourneySet
-from dc2g_jax._src.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.midlevel import (
-    EncoderArchitecture,
-    EncoderTraining,
-    ImageEncoder,
-    encoder_task,
-    load_encoder,
-    vector_size,
+from dc2g_jax._src.readers.houses import PROCEDURAL
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
+from dc2g_jax._src.search_indoors.learning.data import JourneySet
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, vector_size
+from dc2g_jax._src.search_indoors.learning.networks import (
+    ABLATIONS,
+    ENCODER_FILE,
+    INPUT_CHANNELS,
+    NETWORK_FILE,
+    CostMapArchitecture,
+    CostMapEstimator,
+    save_costs,
 )
-from dc2g_jax._src.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
-from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
-from dc2g_jax._src.objectnav.training import (
+from dc2g_jax._src.search_indoors.learning.training import (
     RECIPES,
     CostMapConfig,
+    EncoderTraining,
     Recipe,
+    encoder_task,
     figures,
     first_state,
     validation_samples,
 )
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
-from dc2g_jax._src.training.step import TrainingState, supervised_step
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.training_sets import kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
@@ -190,7 +192,7 @@ def training_task(
         step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
         validate=validate,
         validated=Log(options.out).by_step(),
-        place=functools.partial(replicate, mesh=mesh),
+        place=functools.partial(placed, mesh=mesh),
         learning_rate=lambda step: rate(step - 1),
     )
 

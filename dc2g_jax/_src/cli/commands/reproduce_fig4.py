@@ -11,11 +11,11 @@ import numpy as np
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.drawn_masks import VARIANTS, drawn_masks
-from dc2g_jax._src.datasets.houses import House, open_dataset
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.hub import load
-from dc2g_jax._src.inspection.image_figures import Example, plot_translations
+from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.figures.image_figures import Example, plot_translations
+from dc2g_jax._src.readers.houses import House, open_dataset
+from dc2g_jax._src.training.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax._src.training.image_evaluation import compare, map_for
 from dc2g_jax._src.training.image_pairs import MASK_SEEDS, houses_with_door
 
@@ -47,7 +47,7 @@ def main(options: Options) -> None:
     require_positive(options, "rows")
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
-    network = load(options.network)
+    network = load_network(options.network)
     out = output_folder(options, "reproduce_fig4")
     chosen = [houses[place] for place in np.linspace(0, len(houses) - 1, 2 * options.rows).round().astype(int)]
     everything = np.ones((256, 256), bool)

@@ -9,10 +9,10 @@ from dc2g_jax._src.cli.common import check_seed, command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.cli.translation import Translation, TranslationOptions, train_translator, translation_data
-from dc2g_jax._src.datasets.houses import open_dataset
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.figures.image_figures import plot_training
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.inspection.image_figures import plot_training
+from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.translator import TRANSLATOR_LOSSES
 

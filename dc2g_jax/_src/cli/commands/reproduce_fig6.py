@@ -14,11 +14,11 @@ import tyro
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, SharedOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder, print_files
-from dc2g_jax._src.datasets.houses import House, group_of, open_dataset
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.figures.image_figures import METRIC_LABELS, plot_by_similarity
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import write_table
-from dc2g_jax._src.inspection.image_figures import METRIC_LABELS, plot_by_similarity
+from dc2g_jax._src.readers.houses import House, group_of, open_dataset
 from dc2g_jax._src.training.image_evaluation import HouseMetrics, distances_from_training, full_map_metrics
 from dc2g_jax._src.training.image_pairs import GRID_CELLS, houses_with_door
 
@@ -57,7 +57,7 @@ def main(options: Options) -> None:
     """Compute the metrics; print, write and plot them."""
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
-    chosen = {str(place): load(place) for place in options.network} or {"shipped": load()}
+    chosen = {str(place): load_network(place) for place in options.network} or {"shipped": load_network()}
     out = output_folder(options, "reproduce_fig6")
     distance = distances_from_training(dataset, houses)
     images = [house.terrain for house in houses]

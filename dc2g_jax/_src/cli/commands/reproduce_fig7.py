@@ -18,22 +18,22 @@ from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_lin
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
-from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.figures.episode_figures import plot_episode
+from dc2g_jax._src.figures.replay import replay_result
+from dc2g_jax._src.figures.results_figures import Table, plot_extra_steps, plot_house_strips
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import write_table
-from dc2g_jax._src.inspection.episode_figures import plot_episode
-from dc2g_jax._src.inspection.figures import Table, plot_extra_steps, plot_house_strips
-from dc2g_jax._src.inspection.recording import record_frames
-from dc2g_jax._src.inspection.replay import replay_result
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g, with_authors
 from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
+from dc2g_jax._src.viewer.recording import record_frames
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,17 +22,17 @@ from dc2g_jax._src.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
+from dc2g_jax._src.figures.driving_figures import plot_moments
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.poses import make_pose
-from dc2g_jax._src.inspection.camera_recording import CameraRecording, MappedFrame
-from dc2g_jax._src.inspection.driving_figures import plot_moments
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.vehicles.drive import STATUS_NAMES, Equipment, reset
 from dc2g_jax._src.vehicles.fleet import sites_of
 from dc2g_jax._src.vehicles.trace import Moment, moments
+from dc2g_jax._src.viewer.camera_recording import CameraRecording, MappedFrame
 
 #: Number of moments in the figure.
 _ROWS = 4

@@ -13,9 +13,9 @@ from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_plann
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import read_starts
 from dc2g_jax._src.planning.rules import named_settings
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import read_starts
 from dc2g_jax._src.rollouts.evaluation import Runner, as_text
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import summarize

@@ -5,6 +5,7 @@ After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
+import functools
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,34 +16,34 @@ import numpy as np
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.pairs import Pair, TrainingSet
 from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network, multiply_accumulates
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.figures.training_figures import plot_sweep
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.tables import write_table
-from dc2g_jax._src.inspection.training_figures import plot_sweep
-from dc2g_jax._src.inspection.training_recording import prediction_picture
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.rollouts.devices import fetch, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.training import sweeps
 from dc2g_jax._src.training.cost_to_go import (
+    CostToGoTraining,
     TrainingConfig,
-    TrainingState,
     first_state,
     learning_rates,
     least_memory,
-    train_step,
 )
 from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
+from dc2g_jax._src.training.pairs import Pair, TrainingSet
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image
 from dc2g_jax._src.training.training_sets import open_training_set
+from dc2g_jax._src.viewer.training_recording import prediction_picture
 
 #: Number of validation pairs, and of those in pictures for a tracker.
 _PAIRS, _PAIRS_SHOWN = 512, 6
@@ -111,7 +112,9 @@ def train_group(
         return
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, sweeps.stacked_hyperparameters(configs)
-    draw, log = options.data.draw_batch, Log(options.out)
+    training, log = CostToGoTraining(recipe, options.data.draw_batch), Log(options.out)
+    mesh = mesh_for_batch(recipe.batch_size, len(runs))
+    data = replicate(data, mesh)
     rates = np.stack([learning_rates(config) for config in configs], axis=1)
 
     def networks_of(states: TrainingState) -> list[NetworkCostToGo]:
@@ -140,13 +143,14 @@ def train_group(
     task = Task(
         steps=recipe.steps,
         init=lambda: jit(sweeps.init_states, static_argnums=0)(recipe, hyperparameters),
-        step=lambda states: train_step(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
+        step=lambda states: supervised_step(states, data, hyperparameters, training=training, mesh=mesh),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
         name=f"{len(runs)} runs",
         runs=tuple(runs),
         learning_rate=lambda step: rates[step - 1],
         pictures=pictures,
+        place=functools.partial(placed, mesh=mesh),
     )
     checkpoints = sweeps.StackedCheckpoints(
         [
@@ -218,7 +222,7 @@ def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> di
             raise InputError(f"{path}: {run} has {short(found[run])}, no figures; {remedy}")
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(runs)})", flush=True)
-            found[run] = validation.figures(load_network(network_folder(out, run)))
+            found[run] = validation.figures(network_in_folder(network_folder(out, run)))
             write_json(path, found)
     return found
 
@@ -242,7 +246,7 @@ def main(options: Options) -> None:
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
     progress = EpisodeProgress(leave=False)
     validation = None if options.no_episodes else Validation(dataset, drawn=16, progress=progress)
-    data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
+    data = open_training_set(options.out, dataset, options.data)
     log = Log(options.out)
     print(f"runs: {len(runs)}; shapes of networks: {len(groups)}; turns: {len(turns)}")
     for turn in turns:

@@ -13,18 +13,18 @@ import tyro
 from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
-from dc2g_jax._src.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import newest_step
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.inspection.columns import viewer_sink
-from dc2g_jax._src.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
+from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.train import PAUSES, Watching, train
+from dc2g_jax._src.viewer.columns import viewer_sink
+from dc2g_jax._src.viewer.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 
 #: Number of maps in a recording, and in pictures for a tracker.
 _MAPS_SHOWN = 6

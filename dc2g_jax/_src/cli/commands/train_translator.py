@@ -16,7 +16,7 @@ from dc2g_jax._src.cli.translation import (
     train_translator,
     translation_data,
 )
-from dc2g_jax._src.datasets.houses import open_dataset
+from dc2g_jax._src.readers.houses import open_dataset
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,1 +1,0 @@
-"""Datasets of houses (published, own or procedural), episode starts, and training pairs."""

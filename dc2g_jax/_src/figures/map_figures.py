@@ -1,0 +1,164 @@
+"""The figure of a map: its classes, the ground that leads to a goal, and the exact cost-to-go."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+
+from dc2g_jax._src.figures._sheets import cell_rim
+from dc2g_jax._src.figures.results_figures import class_patch, present_classes, save_figure
+from dc2g_jax._src.files.class_images import Palette
+from dc2g_jax._src.grid.ground import connected_to_goal, goals_without_ground, pieces
+from dc2g_jax._src.grid.terrain import FIGURE_COLORS, FRONT_DOOR, TRAVERSABLE
+
+_LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
+_MARKER: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markeredgewidth": 0.8, "clip_on": False}
+_GOAL: dict[str, Any] = {"marker": "*", "color": "#f0e442", "markersize": 12, **_MARKER}
+_LOST_GOAL: dict[str, Any] = {"marker": "X", "color": "white", "markersize": 9, **_MARKER}
+
+#: Number of islands, the largest first, that are labeled with their size.
+_LABELED_ISLANDS = 6
+
+#: Aspect ratio from which on panels are stacked vertically.
+_WIDE = 2.0
+
+#: Inches: longer side of a panel, beside other panels and stacked, and least width of its legend; free space to the
+#: left, to the right, above and below a panel; a line of a legend, and the space above the panels' titles.
+_PANEL_SIDE, _WIDE_PANEL_SIDE, _LEGEND_WIDTH = 4.4, 7.0, 3.7
+_LEFT, _RIGHT, _ABOVE, _BELOW = 0.6, 0.2, 0.3, 0.65
+_LINE, _HEAD = 0.19, 0.4
+
+_LEGEND_COLUMNS = 3
+
+
+def plot_map(
+    path: str | Path,
+    title: str,
+    terrain: UInt8[np.ndarray, "h w"],
+    cost_to_go: Float[np.ndarray, "h w"],
+    palette: Palette | None = None,
+) -> list[Path]:
+    """Draw a map's classes, the ground that leads to a goal, and the distance to the goal.
+
+    Args:
+      path: output path without ending.
+      title: description of the map.
+      terrain: class indices.
+      cost_to_go: exact cost-to-go; shown on ground that is connected to a goal.
+      palette: colors of classes; the figures' colors for classes without one.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+    """
+    classes, ground, distance = _panels(title, terrain)
+    _draw_classes(classes, terrain, palette)
+    _draw_ground(ground, terrain)
+    _draw_distance(distance, terrain, cost_to_go)
+    figure = classes.figure
+    assert isinstance(figure, Figure)
+    return save_figure(figure, path)
+
+
+def _panels(title: str, terrain: UInt8[np.ndarray, "h w"]) -> list[Axes]:
+    """Three panels with the map's aspect ratio, side by side, or stacked if the map is wide."""
+    height, width = terrain.shape
+    rows, columns = (3, 1) if width > _WIDE * height else (1, 3)
+    scale = (_PANEL_SIDE if columns == 3 else _WIDE_PANEL_SIDE) / max(width, height)
+    panel_width, panel_height = scale * width, scale * height
+    lines = -(-len(np.unique(terrain)) // _LEGEND_COLUMNS)
+    block_width = _LEFT + max(panel_width, _LEGEND_WIDTH) + _RIGHT
+    block_height = _ABOVE + panel_height + _BELOW + _LINE * max(lines, 3)
+    size = np.array([columns * block_width, rows * block_height + _HEAD])
+    figure = Figure(figsize=tuple(size))
+    figure.text(_LEFT / size[0], 1 - 0.25 / size[1], title, fontsize=12, va="center")
+    panels = []
+    for number in range(3):
+        x = block_width * (number % columns) + (_LEFT + block_width - _RIGHT - panel_width) / 2
+        y = size[1] - _HEAD - block_height * (number // columns) - _ABOVE - panel_height
+        axes = figure.add_axes((x / size[0], y / size[1], panel_width / size[0], panel_height / size[1]))
+        axes.set_xlabel("column", fontsize=8.5, color="#444444")
+        axes.set_ylabel("row", fontsize=8.5, color="#444444")
+        axes.tick_params(labelsize=8, color="#999999", labelcolor="#444444")
+        axes.spines[:].set_color("#999999")
+        panels.append(axes)
+    return panels
+
+
+def _show(axes: Axes, colors: list[str], numbers: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]) -> None:
+    axes.imshow(np.array([to_rgb(color) for color in colors])[numbers], interpolation="nearest")
+
+
+def _legend(axes: Axes, handles: list[Any]) -> None:
+    axes.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.6, ncols=_LEGEND_COLUMNS,
+        frameon=False, fontsize=8.5, handlelength=1.3, columnspacing=1.2,
+    )  # fmt: skip
+
+
+def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"], palette: Palette | None) -> None:
+    own = {} if palette is None else palette.color_of_class()
+    colors = [
+        "#{:02x}{:02x}{:02x}".format(*own[index]) if index in own else color
+        for index, color in enumerate(FIGURE_COLORS.values())
+    ]
+    _show(axes, colors, terrain)
+    _legend(axes, [class_patch(index, colors[index]) for index in present_classes(terrain)])
+    _draw_goals(axes, terrain)
+    axes.set_title("what is where", fontsize=10)
+
+
+def _draw_ground(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
+    leading = connected_to_goal(terrain)
+    islands = TRAVERSABLE[terrain] & ~leading
+    _show(axes, [_BLOCKED, _LEADING, _ISLAND], leading + 2 * islands)
+    for island in pieces(islands)[:_LABELED_ISLANDS]:
+        axes.text(
+            island.x, island.y, f"{island.cells:,}", ha="center", va="center", fontsize=8,
+            path_effects=[withStroke(linewidth=2, foreground="white")],
+        )  # fmt: skip
+    keys = (
+        ("leads to a goal", _LEADING, leading),
+        ("leads to none (cells)", _ISLAND, islands),
+        ("not traversable", _BLOCKED, ~TRAVERSABLE[terrain]),
+    )
+    handles: list[Any] = [Patch(facecolor=color, label=label) for label, color, cells in keys if np.any(cells)]
+    _legend(axes, handles + _draw_goals(axes, terrain))
+    axes.set_title("where a robot can go", fontsize=10)
+
+
+def _draw_goals(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> list[Line2D]:
+    """Mark the goals, with one mark per door. Returns their legend entries."""
+
+    def draw(goals: Bool[np.ndarray, "h w"], style: dict[str, Any], label: str) -> list[Line2D]:
+        places = pieces(goals)
+        return axes.plot([p.x for p in places], [p.y for p in places], label=label, **style) if places else []
+
+    lost = goals_without_ground(terrain)
+    return draw((terrain == FRONT_DOOR) & ~lost, _GOAL, "goal") + draw(lost, _LOST_GOAL, "goal out of reach")
+
+
+def _draw_distance(axes: Axes, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Float[np.ndarray, "h w"]) -> None:
+    leading = connected_to_goal(terrain) & ~goals_without_ground(terrain)
+    axes.set_facecolor("#e6e6e6")
+    axes.set_title("exact cost-to-go", fontsize=10)
+    image = axes.imshow(np.where(leading, cost_to_go, np.nan), cmap="viridis_r", vmin=0, interpolation="nearest")
+    # In grayscale, ground near a goal looks like unreachable ground: a line separates them.
+    axes.add_collection(LineCollection(cell_rim(leading), colors="#444444", linewidths=0.5), autolim=False)
+    _draw_goals(axes, terrain)
+    if not np.any(leading):
+        axes.text(0.5, 0.5, "no path to a goal", transform=axes.transAxes, ha="center", va="center", fontsize=10)
+        return
+    width, height = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
+    length = max(width, _LEGEND_WIDTH) * 0.7
+    bar = axes.inset_axes((0.5 - length / width / 2, -0.75 / height, length / width, 0.12 / height))
+    axes.figure.colorbar(image, cax=bar, orientation="horizontal").outline.set_edgecolor("#999999")
+    bar.set_xlabel("cells to the nearest goal", fontsize=8.5, color="#444444")
+    bar.tick_params(labelsize=8, color="#999999", labelcolor="#444444")

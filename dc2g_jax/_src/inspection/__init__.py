@@ -1,5 +1,0 @@
-"""Figures, animations and rerun recordings. They need the extra `all`."""
-
-from dc2g_jax._src.errors import require_extra
-
-require_extra("cv2", "matplotlib", "rerun")

@@ -1,1 +1,0 @@
-"""Procedural floor plans: an unlimited number of furnished houses like ProcTHOR's, reproducible by seed."""

@@ -1,0 +1,1 @@
+"""Datasets of houses (published, own or procedural), maps of any origin, and episode starts."""

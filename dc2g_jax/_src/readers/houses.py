@@ -1,0 +1,365 @@
+"""Houses as class grids: the published dataset, folders in its format, folders of maps, and procedural houses."""
+
+import collections
+import difflib
+import functools
+import hashlib
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.files.class_images import (
+    PALETTE_FILE,
+    read_class_image,
+    read_palette,
+)
+from dc2g_jax._src.files.tables import read_table
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.osm.neighborhood import drawn_extracts, extract_files
+from dc2g_jax._src.own_parts import is_own_part, own_part
+from dc2g_jax._src.procedural import procedural_houses
+from dc2g_jax._src.procedural.plain import PLAIN, plain_maps
+from dc2g_jax._src.procedural.towns import drawn_towns
+from dc2g_jax._src.readers._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax._src.readers.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
+
+SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
+_IMAGE_FOLDER = "full_semantic"
+_PUBLISHED_NAME = "driveways_bing_iros19"
+
+#: Locations that stand for the procedural houses, and for the drawn towns.
+PROCEDURAL, TOWNS = "procedural", "towns"
+
+#: Words for datasets that are made in rooms above, which are imported when they are asked for.
+_MADE_ABOVE = {"floor_plans": "dc2g_jax._src.search_indoors.houses.dataset:floor_plan_dataset"}
+
+#: Locations that are words instead of folders.
+NAMED = (PROCEDURAL, TOWNS, *PLAIN, *_MADE_ABOVE)
+
+_TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
+
+
+@dataclass(frozen=True, eq=False)
+class House:
+    """One house with its surroundings.
+
+    Attributes:
+        name: `nNNNmMMMhHHH` in the published dataset (neighborhood, map, house).
+        split: 'train', 'val' or 'test'.
+        terrain: class indices, read-only: uint8 [H W].
+    """
+
+    name: str
+    split: str
+    terrain: np.ndarray
+
+    @property
+    def neighborhood(self) -> str:
+        """The first four characters of the name, such as `n001`."""
+        return self.name[:4]
+
+
+@dataclass(frozen=True, eq=False)
+class HouseDataset:
+    """Houses in the order of training, validation and test split, each split in the order of its list.
+
+    Attributes:
+        name: name of the dataset in results.
+        source: 'published' (every file equals the authors'), 'procedural' or 'folder'.
+        houses: all of them; names are unique.
+
+    Raises:
+        InputError: two houses have the same name.
+    """
+
+    name: str
+    source: str
+    houses: tuple[House, ...]
+
+    def __post_init__(self) -> None:
+        for name, count in collections.Counter(house.name for house in self.houses).items():
+            if count > 1:
+                raise InputError(f"{self.name}: {count} houses are called {name!r}; names must be unique")
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the houses' names, splits and terrain."""
+        digest = hashlib.sha256()
+        for house in self.houses:
+            digest.update(f"{house.name} {house.split} {house.terrain.shape} ".encode())
+            digest.update(house.terrain.tobytes())
+        return digest.hexdigest()
+
+    def split(self, split: str) -> tuple[House, ...]:
+        """Return the houses of 'train', 'val' or 'test'. Raises InputError for any other split."""
+        if split not in SPLIT_FILES:
+            raise InputError(f"{self.name}: no split is called {split!r}; use one of: {', '.join(SPLIT_FILES)}")
+        return tuple(house for house in self.houses if house.split == split)
+
+    def house(self, name: str) -> House:
+        """Return the house of this name. Raises InputError, with the closest names, if there is none."""
+        for house in self.houses:
+            if house.name == name:
+                return house
+        names = [house.name for house in self.houses]
+        close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        remedy = f"did you mean {' or '.join(close)}?" if close else f"its houses are {', '.join(names[:3])} and so on"
+        raise InputError(f"{self.name}: no house is called {name!r}; {remedy} (--dataset says which houses there are)")
+
+
+def stack_worlds(houses: Iterable[House]) -> World:
+    """The worlds of houses of equal grid size, stacked in their order along the last axis.
+
+    Raises:
+        InputError: the sizes of two houses differ.
+    """
+    houses = tuple(houses)
+    for house in houses:
+        if house.terrain.shape != houses[0].terrain.shape:
+            sizes = [f"{one.name} has {one.terrain.shape[1]} x {one.terrain.shape[0]}" for one in (houses[0], house)]
+            rows, columns = np.min([one.terrain.shape for one in houses], axis=0)
+            raise InputError(
+                f"{' cells, '.join(sizes)}: houses that are run together need one size; sample all to one, such as "
+                f"{columns} x {rows}, by the lines 'columns,rows' and '{columns},{rows}' in {CELLS_FILE} of the dataset"
+            )
+    return World.from_terrain(np.stack([house.terrain for house in houses], axis=-1))
+
+
+def group_of(house: House) -> str | None:
+    """Return the paper's category of a house (section IV).
+
+    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighborhood ?001, parts of
+    which are in the training split, 'new_neighborhood' in ?002, 'urban' in ?004, and 'test' elsewhere. None
+    for any other split.
+    """
+    if house.split == "test":
+        return _TEST_GROUPS.get(house.neighborhood[1:], "test")
+    return house.split if house.split in SPLIT_FILES else None
+
+
+def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> HouseDataset:
+    """Read a folder in the published layout.
+
+    The layout: `labels_colors.csv`; the house lists `training_houses.csv`, `validation_houses.csv` and
+    `testing_houses.csv` with the column `house_id`, of which up to two may be absent; and one image per house,
+    `full_semantic/{train,val,test}/world<house_id>.png`. Images that no list names are ignored.
+
+    Args:
+        folder: the dataset.
+        cells: side of the square grid to which every image is sampled; `None` for no sampling.
+
+    Raises:
+        InputError: anything in the folder is missing, damaged or contradictory; the message names the file, the
+            value and the remedy.
+    """
+    folder = Path(folder)
+    if cells is not None and cells < 1:
+        raise InputError(f"{folder}: a grid of {cells} cells a side is not a grid; give at least 1")
+    try:
+        _check_folder(folder)
+        listed = _read_house_lists(folder)
+        palette = read_palette(folder / PALETTE_FILE)
+        houses = []
+        for name, (split, listing) in listed.items():
+            path = _image_path(folder, split, name)
+            if not path.exists():
+                raise InputError(
+                    f"{path}: no such file, but {listing} lists house {name!r}; add the image or delete the line"
+                )
+            houses.append(House(name, split, sampled(str(path), read_class_image(path, palette), cells)))
+        if matches_published(folder):
+            return HouseDataset(_PUBLISHED_NAME, "published", tuple(houses))
+        return HouseDataset(folder.resolve().name, "folder", tuple(houses))
+    except OSError as error:
+        where = error.filename or folder
+        raise InputError(f"{where}: cannot be read ({error.strerror}); allow reading or copy it") from None
+
+
+@functools.lru_cache(maxsize=4)
+def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | None = None) -> HouseDataset:
+    """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
+
+    With a `split`, the others are not drawn: drawing all takes seconds.
+
+    Raises:
+      InputError: `cells` is less than 1 or more than the maps have pixels.
+    """
+    name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
+    houses = (
+        House(house, of, sampled(f"procedural house {house}", classes, cells))
+        for house, of, classes in procedural_houses(seed, split)
+    )
+    return HouseDataset(name, PROCEDURAL, tuple(houses))
+
+
+@functools.lru_cache(maxsize=4)
+def grid_dataset(kind: str) -> HouseDataset:
+    """Return maps that are drawn on their own grids: the towns, or those of one of the kinds of `PLAIN`."""
+    drawn = drawn_towns() if kind == TOWNS else plain_maps(kind)
+    houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in drawn)
+    return HouseDataset(kind, PROCEDURAL, tuple(houses))
+
+
+def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
+    """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`, on maps of 60 m.
+
+    Raises:
+        InputError: an extract cannot be read, or no building has a street in reach.
+    """
+    houses = tuple(House(name, "test", sampled(name, classes, 50)) for name, classes in drawn_extracts(Path(folder)))
+    if not houses:
+        raise InputError(f"{folder}: no building of its extracts has a street in reach; give other extracts")
+    return HouseDataset(Path(folder).resolve().name, "folder", houses)
+
+
+def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
+    """Read a folder of maps of any size, see `readers.maps.read_map_folder`.
+
+    Raises:
+        InputError: the folder contains no maps, or anything in it is missing, damaged or unusable.
+    """
+    folder = Path(folder)
+    try:
+        houses = tuple(House(name, split, terrain) for name, split, terrain in read_map_folder(folder))
+    except OSError as error:
+        raise InputError(f"{error.filename or folder}: cannot be read ({error.strerror})") from None
+    for house in houses:
+        _check_name(folder, house.name)
+    return HouseDataset(folder.resolve().name, "folder", houses)
+
+
+def tell_on_stderr(line: str) -> None:
+    """Print one line to the error stream, apart from results."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def open_dataset(
+    location: str | os.PathLike[str] | None = None,
+    *,
+    cells: int | None = 50,
+    log: Callable[[str], None] = tell_on_stderr,
+) -> HouseDataset:
+    """Open a dataset, by default the published one.
+
+    The first of these that is given or available: `location`; the environment variable `DC2G_DATA`; an earlier
+    download; a download from the authors' repository; and, only if the repository does not answer, the procedural
+    houses, with one line through `log`.
+
+    Args:
+        location: a folder in the published layout, of maps, or of OpenStreetMap extracts; one of the words
+            'procedural', 'towns', 'mazes', 'halls', 'offices' and 'floor_plans'; or `package.module:Name` for a
+            `HouseDataset` of your own, or a function that returns one.
+        cells: side of the square grids of published and procedural houses; `None` for no sampling.
+        log: receives the line about the fallback.
+
+    Raises:
+        InputError: the given location is not a valid dataset, a downloaded file is not the published one, or the
+            download is refused or interrupted. These cases never fall back to other houses.
+    """
+    if location is not None:
+        return _open_location(os.fspath(location), "the dataset location", cells)
+    if os.environ.get("DC2G_DATA"):
+        return _open_location(os.environ["DC2G_DATA"], "DC2G_DATA", cells)
+    try:
+        folder = fetch_dataset()
+    except NetworkUnavailable as reason:
+        log(
+            f"The published dataset is not here and cannot be downloaded ({reason}): using the "
+            "procedural houses instead. To use the published houses, pass --dataset FOLDER or set DC2G_DATA: a copy of "
+            f"{ORIGIN}."
+        )
+        return procedural_dataset(cells=cells)
+    return load_dataset(folder, cells=cells)
+
+
+def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
+    if location == PROCEDURAL:
+        return procedural_dataset(cells=cells)
+    if location in (TOWNS, *PLAIN):
+        return grid_dataset(location)
+    location = _MADE_ABOVE.get(location, location)
+    if is_own_part(location):
+        return _own_dataset(location)
+    try:
+        folder = Path(location).expanduser()
+        found = bool(location) and folder.is_dir()
+    except (OSError, RuntimeError):
+        found = False
+    if not found:
+        raise InputError(f"{location!r}: {setting} is not a folder; give a dataset's, or one of {', '.join(NAMED)}")
+    if extract_files(folder):
+        return extract_dataset(folder)
+    return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
+
+
+def _own_dataset(name: str) -> HouseDataset:
+    found = own_part("dataset", name, NAMED)
+    made = found() if callable(found) else found
+    if not isinstance(made, HouseDataset):
+        is_or_returns = "returns" if callable(found) else "is"
+        raise InputError(
+            f"dataset {name!r}: {is_or_returns} {short(made)}; give a HouseDataset, or a function that returns one"
+        )
+    if not made.houses:
+        raise InputError(f"dataset {name!r}: has no houses; give at least one")
+    return made
+
+
+def _is_map_folder(folder: Path) -> bool:
+    """Whether a folder contains maps and nothing of the published layout. False for folders that cannot be listed."""
+    published = [folder / name for name in (_IMAGE_FOLDER, *SPLIT_FILES.values())]
+    try:
+        return not any(path.exists() for path in published) and bool(map_files(folder))
+    except OSError:
+        return False
+
+
+def _check_folder(folder: Path) -> None:
+    needed = f"{PALETTE_FILE}, {_IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder; give a folder with {needed}")
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is a file, not a folder; give a folder with {needed}")
+    if not any(folder.iterdir()):
+        raise InputError(f"{folder}: the folder is empty; it needs {needed}")
+    if not any((folder / name).exists() for name in SPLIT_FILES.values()):
+        lists = ", ".join(SPLIT_FILES.values())
+        raise InputError(
+            f"{folder}: has no house list; add at least one of {lists} with the column house_id, or maps that end in "
+            f"{', '.join(MAP_ENDINGS)}"
+        )
+
+
+def _read_house_lists(folder: Path) -> dict[str, tuple[str, str]]:
+    """Return house -> its split, and where it is listed."""
+    listed: dict[str, tuple[str, str]] = {}
+    for split, file_name in SPLIT_FILES.items():
+        path = folder / file_name
+        if not path.exists() and not any((folder / _IMAGE_FOLDER / split).glob("world*.png")):
+            continue
+        remedy = f"list the houses of {_IMAGE_FOLDER}/{split} there, one a line below the header house_id"
+        for line, row in read_table(path, ["house_id"], remedy=remedy):
+            name = row["house_id"]
+            _check_name(f"{path}: line {line}", name)
+            if name in listed:
+                raise InputError(
+                    f"{path}: line {line} lists house {name!r}, which {listed[name][1]} lists already; a house belongs "
+                    "to one split, delete one of the two"
+                )
+            listed[name] = split, f"line {line} of {file_name}"
+    return listed
+
+
+def _check_name(where: object, name: str) -> None:
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        raise InputError(f"{where}: {name!r} cannot be a house name; use letters, digits, '_', '-' and '.'")
+
+
+def _image_path(folder: Path, split: str, name: str) -> Path:
+    return folder / _IMAGE_FOLDER / split / f"world{name}.png"

@@ -1,0 +1,1 @@
+"""Houses: floor plans drawn or read from files, furnished, as grids of cells."""

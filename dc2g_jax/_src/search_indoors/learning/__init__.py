@@ -1,0 +1,1 @@
+"""Networks that predict costs from partial maps, and their training."""

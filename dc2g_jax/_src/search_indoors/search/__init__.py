@@ -1,0 +1,1 @@
+"""Searches: a robot and its guides, simulated or real, and what came of them."""

@@ -1,0 +1,347 @@
+"""A robot that searches for an object: camera -> map -> costs -> IT-MPC -> command (Fig. 1 of the dense-cost paper).
+
+The controller plans ten times a second, and the vehicle executes the first command of each plan (`steer`). Every few
+control periods the robot adds a camera frame to its map and asks its guide (`search.guides`) for new costs
+(`look`). The search ends when the guide leads to an object and at most `STOP` meters of the path are left (`arrives`).
+
+Nothing here knows the true house. `search.simulation` simulates a robot in a house, and
+`search.online` runs on a real one. All functions take one robot.
+"""
+
+import dataclasses
+import math
+from typing import Protocol, TypeVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+
+from dc2g_jax._src.mapping.camera import Frame, Intrinsics
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, STOP, cost_lookup, dense_costs
+from dc2g_jax._src.search_indoors.maps.mapping import (
+    IndoorMap,
+    IndoorMapSettings,
+    empty_map,
+    grid_cell,
+    square,
+    with_frame,
+)
+from dc2g_jax._src.vehicles import mppi
+from dc2g_jax._src.vehicles.mppi import CostOfPose, MPPISettings
+from dc2g_jax._src.vehicles.robot import DRIVING, SimulatedRobot
+from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, drive, wrapped
+
+#: Limits of an indoor robot, about the speed of a person in a room.
+LIMITS = VehicleLimits(
+    max_speed=1.0, max_turn_rate=2.0, max_acceleration=1.5, max_turn_acceleration=8.0, radius=ROBOT_RADIUS
+)
+
+#: Settings of the controller. The number of samples was chosen on validation houses.
+CONTROLLER = MPPISettings(limits=LIMITS, samples=128)
+
+#: Costs of the controller in meters: of a blocked cell; of a cell beside known costs, in addition to theirs; of each
+#: meter further away from known costs; and of leaving the local map. The first and last exceed what a shortcut through
+#: a wall can save: a detour of up to 20 m at each of the horizon's steps, up to 50.
+_COLLISION, _MARGIN, _SLOPE, _OUTSIDE = 2000.0, 1.0, 3.0, 2000.0
+
+#: Time in which a vehicle that descends the costs turns to the direction of descent, seconds.
+_TURNING_TIME = 0.3
+
+#: Status of a robot that has declared to have reached the object.
+DECLARED = 1
+
+
+@struct.dataclass
+class Observation:
+    """What a robot knows when it asks its guide: nothing of it comes from the true house.
+
+    Attributes:
+      target: the wanted class, an index into `maps.classes.GOALS`.
+      vehicle: pose and velocities of the robot.
+      map: map of the house so far.
+      middle: row and column in the world's grid of the robot's cell. The local map is centered on it: it is at half the
+        local map's side.
+      image: the camera's picture; `None` if the guide does not use it.
+    """
+
+    target: Int[Array, ""]
+    vehicle: VehicleState
+    map: IndoorMap
+    middle: Int[Array, "2"]
+    image: UInt8[Array, "48 64 3"] | None
+
+
+@struct.dataclass
+class Guidance:
+    """Costs of the cells of the local map.
+
+    Attributes:
+      distance: cost of each cell, usually meters to drive; infinite where the robot must not be.
+      to_goal: whether the costs lead to an object of the wanted class. The robot declares success at their end.
+    """
+
+    distance: Float[Array, "n n"]
+    to_goal: Bool[Array, ""]
+
+
+class Guide(Protocol):
+    """Strategy that directs a robot. Implementations are pytrees."""
+
+    @property
+    def uses_image(self) -> bool:
+        """Whether the guide uses the camera's picture. It does not unless a subclass says so."""
+        return False
+
+    def of_house(self, world: IndoorWorld, radius: float) -> "Guide | None":
+        """This guide with knowledge of a simulated house, if it is a privileged one; `None` for all others.
+
+        Args:
+          world: the true house.
+          radius: radius of the robot, meters.
+        """
+        del world, radius
+        return None
+
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: "Agent") -> Guidance:
+        """Costs of the cells of the robot's local map.
+
+        Args:
+          key: random key.
+          seen: what the robot knows.
+          agent: components of the robot.
+        """
+        ...
+
+
+class Steering(Protocol):
+    """Strategy that makes commands from costs. Implementations are pytrees."""
+
+    def plan(self, key: Key[Array, ""], robot: "Searcher", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
+        """The robot's next plan. Its first command is executed."""
+        ...
+
+
+@struct.dataclass
+class Agent:
+    """Components of a robot.
+
+    Attributes:
+      guide: directs the robot.
+      steering: makes commands from the guide's costs.
+      camera: intrinsics of the camera.
+      mapping: settings of the map.
+      controller: settings of the controller, with the limits of the vehicle.
+      renewal: control periods between two camera frames, and between two sets of costs.
+    """
+
+    guide: Guide
+    steering: Steering
+    camera: Intrinsics
+    mapping: IndoorMapSettings = IndoorMapSettings()
+    controller: MPPISettings = CONTROLLER
+    renewal: int = struct.field(pytree_node=False, default=5)
+
+
+@struct.dataclass
+class Searcher(SimulatedRobot):
+    """A robot that searches, as it knows itself. Its status is `DRIVING` or `DECLARED`.
+
+    Attributes:
+      target: the wanted class, an index into `maps.classes.GOALS`.
+      map: map of the house so far.
+      local_middle: row and column in the world's grid of the cell in the middle of the local map, at half its side.
+      guidance: last costs of the guide.
+      costs: the same costs, with costs that lead back to them elsewhere.
+      controls: plan of the controller.
+    """
+
+    target: Int[Array, ""]
+    map: IndoorMap
+    local_middle: Int[Array, "2"]
+    guidance: Guidance
+    costs: Float[Array, "n n"]
+    controls: Float[Array, "h 2"]
+
+
+_Robot = TypeVar("_Robot", bound=Searcher)
+
+
+@struct.dataclass
+class MPC:
+    """Steering with IT-MPC. One of its sampled plans is not random but descends the costs.
+
+    Turning around takes a second or two. Random plans hardly ever stop for so long, and those that do not stop hit the
+    wall ahead.
+    """
+
+    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+        """See `Steering`."""
+        return self.weighed(key, robot, costs, agent)[0]
+
+    @staticmethod
+    def weighed(
+        key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent
+    ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
+        """The next plan, and the sampled plans that it is the weighted mean of."""
+        candidate = descent(robot.vehicle, costs, agent)
+        return mppi.plan(key, robot.controls, robot.vehicle, costs, agent.controller, candidate)
+
+
+def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    """Commands over the horizon that turn the vehicle to the direction of steepest descent and drive it there."""
+    limits, settings = agent.controller.limits, agent.controller
+    steps = agent.mapping.cell_size * jnp.array([[1, 0], [-1, 0], [0, 1], [0, -1]], jnp.float32)
+
+    def follow(vehicle: VehicleState, _: None) -> tuple[VehicleState, Float[Array, "2"]]:
+        east, west, north, south = (costs(vehicle.position + step, vehicle.yaw) for step in steps)
+        error = wrapped(jnp.arctan2(south - north, west - east) - vehicle.yaw)
+        ahead = jnp.maximum(jnp.cos(error), 0) ** 2
+        command = jnp.stack([limits.max_speed * ahead, error / _TURNING_TIME])
+        return drive(vehicle, command, limits), command
+
+    return jax.lax.scan(follow, vehicle, length=settings.horizon)[1]
+
+
+@struct.dataclass
+class LookAround:
+    """Steering that turns the robot once in place at the start, or until it has seen an object.
+
+    This adds nothing to the length of the path.
+
+    Attributes:
+      steering: used afterwards.
+    """
+
+    steering: Steering
+
+    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+        """See `Steering`."""
+        limits = agent.controller.limits
+        looks = ~robot.guidance.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
+        turning = jnp.zeros_like(robot.controls).at[0, 1].set(limits.max_turn_rate)
+        return jax.lax.cond(looks, lambda: turning, lambda: self.steering.plan(key, robot, costs, agent))
+
+
+@struct.dataclass
+class RandomUntilSeen:
+    """Random commands until a path to an object is known, then IT-MPC: the paper's privileged random agent.
+
+    Speed and turn rate are drawn anew in each control period (section IV-A).
+    """
+
+    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+        """See `Steering`."""
+        limits = agent.controller.limits
+
+        def drawn() -> Float[Array, "h 2"]:
+            least, most = jnp.array([0, -limits.max_turn_rate]), jnp.array([limits.max_speed, limits.max_turn_rate])
+            return jax.random.uniform(key, robot.controls.shape, minval=least, maxval=most)
+
+        return jax.lax.cond(robot.guidance.to_goal, lambda: MPC().plan(key, robot, costs, agent), drawn)
+
+
+def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], agent: Agent) -> Searcher:
+    """The robot at its start, with an empty map.
+
+    Args:
+      key: random key of the search.
+      vehicle: pose and velocities at the start.
+      target: the wanted class, an index into `maps.classes.GOALS`.
+      agent: components of the robot.
+    """
+    side = agent.mapping.local
+    return Searcher(
+        key=key,
+        vehicle=vehicle,
+        periods=jnp.int32(0),
+        status=jnp.int32(DRIVING),
+        target=jnp.asarray(target, jnp.int32),
+        map=empty_map(vehicle.position, agent.mapping),
+        local_middle=grid_cell(vehicle.position, agent.mapping.cell_size),
+        guidance=Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False)),
+        costs=jnp.zeros((side, side), jnp.float32),
+        controls=mppi.standing_still(agent.controller),
+    )
+
+
+def observed(robot: Searcher, image: UInt8[Array, "48 64 3"] | None) -> Observation:
+    """What a robot knows after it has added a frame to its map. `image` is the camera's picture."""
+    return Observation(robot.target, robot.vehicle, robot.map, robot.local_middle, image)
+
+
+def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> _Robot:
+    """Add a camera frame to the map, and ask the guide for new costs.
+
+    Args:
+      robot: the robot.
+      frame: depth, classes and pose of its camera.
+      image: the camera's picture; `None` if the guide does not use it.
+      agent: components of the robot.
+    """
+    position, cell_size = robot.vehicle.position, agent.mapping.cell_size
+    key, own_key = jax.random.split(robot.key)
+    robot = dataclasses.replace(
+        robot,
+        key=key,
+        map=with_frame(robot.map, frame, position, agent.camera, agent.mapping),
+        local_middle=grid_cell(position, cell_size),
+    )
+    guidance = agent.guide.guide(own_key, observed(robot, image), agent)
+    return dataclasses.replace(robot, guidance=guidance, costs=_filled_costs(guidance.distance, cell_size))
+
+
+def steer(robot: _Robot, agent: Agent) -> tuple[_Robot, Float[Array, "2"]]:
+    """Plan for one control period.
+
+    Returns:
+      The robot with its next plan, and the command to execute: speed, m/s, and turn rate, rad/s.
+    """
+    key, own_key = jax.random.split(robot.key)
+    plan = agent.steering.plan(own_key, robot, cost_of_pose(robot, agent), agent)
+    return dataclasses.replace(robot, key=key, controls=mppi.shift(plan), periods=robot.periods + 1), plan[0]
+
+
+def cost_at(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Float[Array, ""]:
+    """The guide's last cost at a position (x and y, meters); infinite off the local map."""
+    cell = grid_cell(position, agent.mapping.cell_size) - robot.local_middle + agent.mapping.local // 2
+    return square(robot.guidance.distance, cell, 1, jnp.inf)[0, 0]
+
+
+def arrives(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Bool[Array, ""]:
+    """Whether the robot has reached the object at a position (x and y, meters)."""
+    return robot.guidance.to_goal & (cost_at(robot, position, agent) <= STOP)
+
+
+def _filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
+    """Costs for the controller: the distance where finite, elsewhere costs that lead back to such cells.
+
+    A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance
+    on the other side of a wall has no effect.
+
+    Args:
+      distance: costs of the guide, meters; infinite where the robot must not be.
+      cell_size: edge of a cell, meters.
+    """
+    known = jnp.isfinite(distance)
+    around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
+    rest = dense_costs(distance, cell_size, collision=_MARGIN, slope=_SLOPE)
+    return jnp.where(known, distance, jnp.where(jnp.isfinite(around), around + _MARGIN, rest))
+
+
+def cost_of_pose(robot: Searcher, agent: Agent) -> CostOfPose:
+    """The controller's cost of a pose: the guide's costs, interpolated between cells, and a penalty for collisions.
+
+    The penalty is not interpolated. Otherwise it would close gaps of a single cell, through which the robot just fits.
+    """
+    side, size = agent.mapping.local, agent.mapping.cell_size
+    first = robot.local_middle - side // 2
+    corner = first[::-1].astype(jnp.float32) * jnp.array([size, -size], jnp.float32)
+    lookup, closed = cost_lookup(robot.costs, size, _OUTSIDE), ~jnp.isfinite(robot.guidance.distance)
+
+    def cost(position: Float[Array, "2"], yaw: Float[Array, ""]) -> Float[Array, ""]:
+        row, column = jnp.clip(grid_cell(position, size) - first, 0, side - 1)
+        return lookup(position - corner, yaw) + jnp.where(closed[row, column], _COLLISION, 0)
+
+    return cost

@@ -1,0 +1,292 @@
+"""Simulated searches: robots with a camera in true houses, many at once, from their starts to their ends.
+
+Results are in `search.evaluation`.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.mapping.camera import CameraPose
+from dc2g_jax._src.mapping.scene import Scene
+from dc2g_jax._src.mapping.simulator import render
+from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
+from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Guide, Searcher, arrives, begin, look, steer
+from dc2g_jax._src.vehicles.footprint import Ground
+from dc2g_jax._src.vehicles.robot import at_starts, is_driving, run_to_end, stopped_by_obstacles
+from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest, drive
+
+#: Control periods of an episode: 50 s (section III-C).
+TIME_LIMIT = 500
+
+#: Legs of a robot that the first call of the device drives.
+_FIRST_LEGS = 5
+
+
+@struct.dataclass
+class IndoorSite:
+    """A true house. Sites of equal size can be stacked.
+
+    Attributes:
+      scene: scene for the simulated camera.
+      paint: color of each cell, see `houses.worlds.painted`.
+      free: free floor.
+      guide: the guide that knows this house, of privileged agents; `None` for all others.
+    """
+
+    scene: Scene
+    paint: UInt8[Array, "h w 3"]
+    free: Bool[Array, "h w"]
+    guide: Guide | None
+
+
+@struct.dataclass
+class IndoorRobot(Searcher):
+    """State of a simulated robot.
+
+    Attributes:
+      collisions: control periods in which an obstacle stopped the robot.
+      track: x, y, yaw, speed and turn rate at the start and after each control period; constant after the end.
+    """
+
+    collisions: Int[Array, ""]
+    track: Float[Array, "time 5"]
+
+
+def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
+    """The site of a house.
+
+    Args:
+      world: one house.
+      name: name of the house, which seeds its random colors.
+      agent: components of the robots.
+    """
+    return IndoorSite(
+        scene=scene(world),
+        paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
+        free=jnp.asarray(world.free),
+        guide=agent.guide.of_house(world, agent.controller.limits.radius),
+    )
+
+
+def reset(
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
+) -> IndoorRobot:
+    """The robot at its start, with an empty map.
+
+    Args:
+      key: random key of the episode.
+      search: x and y of the start, meters, and yaw, radians; and the wanted class, an index into `maps.classes.GOALS`.
+      agent: components of the robot.
+      limit: largest number of control periods.
+    """
+    start, target = search
+    searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
+    track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
+    return IndoorRobot(**vars(searcher), collisions=jnp.int32(0), track=track)
+
+
+def _camera_of(robot: Searcher) -> CameraPose:
+    """The pose of the robot's camera."""
+    x, y = robot.vehicle.position
+    return camera_pose(x, y, robot.vehicle.yaw)
+
+
+def picture(robot: Searcher, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
+    """The picture of the robot's camera."""
+    return view(site.scene, site.paint, _camera_of(robot)).image
+
+
+def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
+    """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
+    agent = agent if site.guide is None else dataclasses.replace(agent, guide=site.guide)
+    frame = render(site.scene, agent.camera, _camera_of(robot), agent.mapping.reach)
+    image = picture(robot, site) if agent.guide.uses_image else None
+    return look(robot, frame, image, agent)
+
+
+def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
+    """One control period: plan, drive, and check whether the object is reached."""
+    limits = agent.controller.limits
+    robot, command = steer(robot, agent)
+    driven = drive(robot.vehicle, command, limits)
+    ground = Ground(site.free, agent.mapping.cell_size)
+    vehicle, bumped = stopped_by_obstacles(robot.vehicle, driven, ground, limits.radius)
+    return dataclasses.replace(
+        robot,
+        vehicle=vehicle,
+        collisions=robot.collisions + bumped,
+        status=jnp.where(arrives(robot, vehicle.position, agent), DECLARED, robot.status).astype(jnp.int32),
+        track=jnp.where(jnp.arange(len(robot.track))[:, None] < robot.periods, robot.track, _tracked(vehicle)),
+    )
+
+
+def leg(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
+    """Look, decide, and act for `Agent.renewal` control periods or to the end of the episode."""
+    return act_on(look_and_decide(robot, site, agent), site, agent)
+
+
+def act_on(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
+    """The second part of a leg: its actions."""
+    end = robot.periods + agent.renewal
+    return jax.lax.while_loop(
+        lambda robot: is_active(robot) & (robot.periods < end), lambda robot: act(robot, site, agent), robot
+    )
+
+
+def is_active(robot: IndoorRobot) -> Bool[Array, ""]:
+    """Whether the robot has neither declared success nor run out of time."""
+    return is_driving(robot, robot.track.shape[0] - 1)
+
+
+def _tracked(vehicle: VehicleState) -> Float[Array, "5"]:
+    """A row of `IndoorRobot.track`."""
+    return jnp.stack([*vehicle.position, vehicle.yaw, vehicle.speed, vehicle.turn_rate])
+
+
+class Search(NamedTuple):
+    """A search to be made.
+
+    Attributes:
+      house: name of the house.
+      target: name of the wanted class.
+      x: of the start, meters.
+      y: of the start, meters.
+      yaw: where the robot faces there, radians.
+    """
+
+    house: str
+    target: str
+    x: float
+    y: float
+    yaw: float
+
+
+@struct.dataclass
+class Searches:
+    """What robots did, in the order of the episodes.
+
+    Attributes:
+      track: see `search.simulation.IndoorRobot`.
+      declared: did the robot say that it was there?
+      steps: control periods.
+      collisions: of these, those in which it ran into something.
+    """
+
+    track: Float[np.ndarray, "episodes time 5"]
+    declared: Bool[np.ndarray, "episodes"]
+    steps: Int[np.ndarray, "episodes"]
+    collisions: Int[np.ndarray, "episodes"]
+
+
+def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Search]:
+    """Random starts with a random target each, of the classes that can be reached in the house (section III-C).
+
+    Houses in which no object of any class can be reached are passed over.
+
+    Args:
+      houses: where.
+      per_house: episodes in each.
+      seed: of starts and targets; what is drawn in a house does not depend on the others.
+
+    Raises:
+      InputError: there is no episode at all.
+    """
+    episodes: list[Search] = []
+    for house in houses:
+        rng = np.random.default_rng([seed, *house.name.encode()])
+        drawn = {goal: sample_starts(house.world, goal, per_house, rng=rng) for goal in GOALS}
+        goals = [goal for goal in GOALS if len(drawn[goal])]
+        for number, goal in enumerate(rng.choice(goals, per_house).tolist() if goals else []):
+            x, y, yaw = drawn[goal][number].tolist()
+            episodes.append(Search(house.name, OBJECT_CLASSES[goal], x, y, yaw))
+    if not episodes:
+        raise InputError(f"no object can be searched for in {len(houses)} houses; give others, or more of them")
+    return episodes
+
+
+def search_for(house: IndoorHouse, target: str, *, seed: int = 0) -> Search:
+    """A search for an object of a class, from a random start.
+
+    Args:
+      house: the house.
+      target: name of the class.
+      seed: seed of the start.
+
+    Raises:
+      InputError: the target is not a goal class, or the house has no reachable object of this class.
+    """
+    rng = np.random.default_rng([seed, *house.name.encode()])
+    starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
+    there = [name for name, drawn in starts.items() if len(drawn)]
+    if target not in starts:
+        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(starts)}")
+    if target not in there:
+        raise InputError(
+            f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or another "
+            "--house"
+        )
+    return Search(house.name, target, *starts[target][0].tolist())
+
+
+def search_all(
+    agent: Agent,
+    houses: Sequence[IndoorHouse],
+    episodes: Sequence[Search],
+    *,
+    limit: int = TIME_LIMIT,
+    seed: int = 0,
+    on_progress: Callable[[int], None] | None = None,
+) -> Searches:
+    """Run every episode to its end, on all devices.
+
+    Args:
+      agent: what the robots are made of.
+      houses: those of the episodes; cells as large as those of the agent's map.
+      episodes: at least one.
+      limit: control periods after which an episode ends.
+      seed: of all random numbers of the robots.
+      on_progress: called now and then with the number of episodes that have ended.
+
+    Raises:
+      InputError: the houses' cells are not those of the agent's map.
+    """
+    sites, site_numbers = _sites(agent, houses)
+    mesh, count = mesh_of(), len(episodes)
+    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
+    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
+    starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
+    targets = np.array([GOALS.index(OBJECT_CLASSES.index(episode.target)) for episode in episodes], np.int32)
+    agent, sites = replicate((agent, sites), mesh)
+    keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
+    robots = at_starts(keys, (starts, targets), agent, mesh=mesh, reset=reset, number=limit)
+    robots = run_to_end(
+        robots, leg, where, sites, agent, limit=limit, count=count, first_steps=_FIRST_LEGS, on_progress=on_progress
+    )
+    track, status, steps, collisions = gather((robots.track, robots.status, robots.periods, robots.collisions), count)
+    return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
+
+
+def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
+    """Houses of one size as sites, stacked, and the number of each by its name."""
+    size = agent.mapping.cell_size
+    for house in houses:
+        if abs(float(house.world.cell_size) - size) > 1e-6:
+            own = float(house.world.cell_size)
+            raise InputError(f"{house.name} has cells of {own:g} m, the agent's map of {size:g} m; make them alike")
+    worlds = [house.world for house in houses]
+    rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
+    padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
+    sites = [site_of(world, house.name, agent) for house, world in zip(houses, padded, strict=True)]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}

@@ -1,0 +1,279 @@
+"""Recordings of mapping for the rerun viewer: camera images, points, voxels, the map and the camera's path."""
+
+import functools
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Float, UInt8
+from tqdm import tqdm
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, points
+from dc2g_jax._src.mapping.checks import check_frame
+from dc2g_jax._src.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
+from dc2g_jax._src.mapping.sequences import DEPTH_UNITS, ImageSequence, depth_steps, read_frame, read_picture
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.viewer import _legend as legend
+from dc2g_jax._src.viewer.columns import SO_FAR, first_view, image_style, open_recording, send, send_images
+
+#: Number of steps that are sent together. Until then they are kept in memory.
+_CHUNK = 32
+
+#: Total number of points shown at the end, and least number per frame.
+_POINTS, _FEWEST_POINTS = 200_000, 200
+
+#: Drawn size of a voxel relative to its true size: the gaps separate neighbors.
+_DRAWN = 0.94
+
+#: Entities. Images are children of the camera, so that they are shown in the world as well.
+_CAMERA, _IMAGE = "world/camera", "world/camera/image"
+_PICTURE, _DEPTH, _CLASSES = f"{_IMAGE}/picture", f"{_IMAGE}/depth", f"{_IMAGE}/classes"
+
+_points = jit(points)
+
+
+class MappedFrame(NamedTuple):
+    """A frame and the map after it; arrays on the host.
+
+    Attributes:
+      frame: the camera's frame.
+      picture: encoded color image (PNG or JPEG), if there is one.
+      voxels: the voxel map.
+      terrain: the map as seen from above.
+    """
+
+    frame: Frame
+    picture: bytes | None
+    voxels: SemanticMap
+    terrain: UInt8[np.ndarray, "h w"]
+
+
+class CameraRecording:
+    """A recording that grows while a sequence is mapped. `close` it, or use it in a `with` statement.
+
+    Args:
+      file: file to write.
+      camera: intrinsics of the camera.
+      settings: settings of the map.
+      path: positions of the camera in the whole sequence, meters in the world, to frame the first view.
+      name: name of the recording in the viewer.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+
+    def __init__(
+        self, file: Path, *, camera: Intrinsics, settings: MapSettings, path: Float[np.ndarray, "n 3"], name: str
+    ):
+        self._camera, self._settings = camera, settings
+        pixels_a_point = camera.height * camera.width * len(path) / max(_POINTS, _FEWEST_POINTS * len(path))
+        self._stride = max(1, round(pixels_a_point**0.5))
+        self._stream = open_recording(file, name=name, blueprint=_layout(settings, path))
+        self._waiting: list[MappedFrame] = []
+        self._sent = 0
+        self._last: np.ndarray | None = None
+        self._describe()
+
+    def __enter__(self) -> "CameraRecording":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, mapped: MappedFrame) -> None:
+        """Add a step."""
+        self._waiting.append(mapped)
+        if len(self._waiting) == _CHUNK:
+            self._send()
+
+    def close(self) -> None:
+        """Write the remaining steps."""
+        if self._waiting:
+            self._send()
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _describe(self) -> None:
+        """Send static data: colors, frames of reference, the camera, and styles."""
+        stream, camera = self._stream, self._camera
+        style = functools.partial(stream.log, static=True)
+        style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        style("world", legend.terrain_context())
+        pinhole = rr.Pinhole(
+            focal_length=[camera.focal_x, camera.focal_y],
+            principal_point=[camera.center_x, camera.center_y],
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=2 * self._settings.cell_size,
+        )
+        style(_IMAGE, pinhole)
+        steps = rr.components.ImageFormat(
+            width=camera.width, height=camera.height, channel_datatype=rr.ChannelDatatype.U16
+        )
+        reach = [0, DEPTH_UNITS * self._settings.reach]
+        style(_DEPTH, rr.DepthImage.from_fields(format=steps, meter=DEPTH_UNITS, colormap="Turbo", depth_range=reach))
+        style("world/points", rr.Points3D.from_fields(radii=-2.0))
+        style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
+        style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
+        for image in (_CLASSES, "map", "legend"):
+            image_style(stream, image, legend.terrain_context(), 0)
+        style("map/path", rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30))
+        style("map/robot", rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60))
+        style("map/robot/view", rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61))
+        classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
+        style("legend", rr.SegmentationImage(classes[:, None]))
+        places = np.stack([0 * classes + 0.5, classes + 0.3], axis=1)
+        names = [name.replace("_", " ") for name in ("not observed", *CLASS_NAMES[1:])]
+        style("legend/names", rr.Points2D(places, radii=0.0, colors=(255, 255, 255), labels=names, show_labels=True))
+
+    def _send(self) -> None:
+        """Send the pending steps."""
+        stream = self._stream
+        mapped, self._waiting = self._waiting, []
+        steps = self._sent + np.arange(len(mapped))
+        self._sent += len(mapped)
+        pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
+        if pictures:
+            send(stream, _PICTURE, np.array(list(pictures)), rr.EncodedImage.columns(blob=list(pictures.values())))
+        frames = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.frame for one in mapped))
+        depth = depth_steps(frames.depth.reshape(len(steps), -1))
+        send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.view(np.uint8)))
+        send_images(stream, _CLASSES, steps, frames.classes)
+        self._send_points(steps, [one.frame for one in mapped])
+        self._send_voxels(steps, [one.voxels for one in mapped])
+        send_images(stream, "map", steps, np.stack([one.terrain for one in mapped]))
+        self._send_path(steps, frames.pose)
+
+    def _send_points(self, steps: np.ndarray, frames: list[Frame]) -> None:
+        """Send the points of each frame in the world, evenly subsampled."""
+        every = np.s_[:: self._stride, :: self._stride]
+        clouds, classes = [], []
+        for frame in frames:
+            kept = np.asarray(frame.depth)[every] > 0
+            clouds.append(np.asarray(_points(frame.depth, self._camera, frame.pose))[every][kept])
+            classes.append(np.asarray(frame.classes)[every][kept])
+        cloud = rr.Points3D.columns(positions=np.concatenate(clouds), class_ids=np.concatenate(classes))
+        send(self._stream, "world/points", steps, cloud.partition([len(cloud) for cloud in clouds]))
+
+    def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
+        """Send the occupied voxels as boxes in the colors of their classes."""
+        cell, level_height = self._settings.cell_size, self._settings.level_height
+        centers, classes = [], []
+        for voxels in jax.tree.map(jnp.asarray, maps):
+            level, row, column = np.nonzero(np.asarray(voxels.occupied))
+            middles = [(column + 0.5) * cell, -(row + 0.5) * cell, level * level_height]
+            centers.append(np.stack(middles, axis=1).astype(np.float32))
+            classes.append(np.asarray(voxels.classes)[level, row, column])
+        counts = [len(center) for center in centers]
+        sizes = np.tile(_DRAWN / 2 * np.array([cell, cell, level_height], np.float32), (sum(counts), 1))
+        boxes = rr.Boxes3D.columns(centers=np.concatenate(centers), half_sizes=sizes, class_ids=np.concatenate(classes))
+        send(self._stream, "world/voxels", steps, boxes.partition(counts))
+
+    def _send_path(self, steps: np.ndarray, poses: CameraPose) -> None:
+        """Send the camera's pose and path: one segment of the path per step, which the viewer accumulates."""
+        stream = self._stream
+        here, turns = np.asarray(poses.position), np.asarray(poses.rotation)
+        send(stream, _CAMERA, steps, rr.Transform3D.columns(translation=here, mat3x3=turns.reshape(-1, 9)))
+        on_map = here[:, :2] * (1, -1) / self._settings.cell_size
+        ahead = turns[:, :2, 2] * (2.5, -2.5)
+        send(stream, "map/robot", steps, rr.Points2D.columns(positions=on_map))
+        send(stream, "map/robot/view", steps, rr.Arrows2D.columns(origins=on_map, vectors=ahead))
+        before = np.concatenate([here[:1] if self._last is None else self._last[None], here[:-1]])
+        self._last = here[-1]
+        moving = np.flatnonzero(np.any(here != before, axis=1))
+        if len(moving):
+            pieces = np.stack([before[moving], here[moving]], axis=1)
+            send(stream, "world/path", steps[moving], rr.LineStrips3D.columns(strips=pieces))
+            flat = (pieces[..., :2] * (1, -1) / self._settings.cell_size).astype(np.float32)
+            send(stream, "map/path", steps[moving], rr.LineStrips2D.columns(strips=flat))
+
+
+def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Blueprint:
+    """The first view: the camera's images on the left, voxels in the middle, map, points and legend on the right."""
+    low, high = path.min(axis=0), path.max(axis=0)
+    x, y, _ = (low + high) / 2
+    size = float(max(high - low)) + settings.reach
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=[x, y - 0.9 * size, size],
+        look_target=[x, y, 0],
+        eye_up=[0, 0, 1],
+    )
+
+    def world(name: str, contents: list[str], so_far: list[str]) -> rrb.Spatial3DView:
+        return rrb.Spatial3DView(
+            origin="/world",
+            contents=["/world/path", f"/{_CAMERA}", f"/{_IMAGE}", *contents],
+            name=name,
+            eye_controls=eye,
+            background=legend.FRAME_COLOR,
+            line_grid=False,
+            overrides=dict.fromkeys(("world/path", *so_far), SO_FAR),
+        )
+
+    images = [
+        rrb.Spatial2DView(origin=f"/{_IMAGE}", contents=[f"/{entity}"], name=name)
+        for entity, name in ((_PICTURE, "camera"), (_DEPTH, "depth"), (_CLASSES, "classes of the pixels"))
+    ]
+    bounds = rrb.VisualBounds2D(x_range=[-0.5, settings.columns + 0.5], y_range=[-0.5, settings.rows + 0.5])
+    names = rrb.VisualBounds2D(x_range=[-0.5, 1.5], y_range=[-0.3, len(CLASS_NAMES) + 0.3])
+    seen_from_above = rrb.Spatial2DView(
+        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/path": SO_FAR}
+    )
+    return first_view(
+        rrb.Horizontal(
+            rrb.Vertical(*images),
+            world("voxels", ["/world/voxels", f"/{_PICTURE}"], []),
+            rrb.Vertical(
+                seen_from_above,
+                world("points so far, depth of this frame", ["/world/points", f"/{_DEPTH}"], ["world/points"]),
+            ),
+            rrb.Spatial2DView(origin="/legend", name="legend", visual_bounds=names),
+            column_shares=[2.2, 5, 3.4, 1.2],
+        ),
+        fps=10.0,
+    )
+
+
+def record_mapping(
+    file: Path, sequence: ImageSequence, settings: MapSettings, name: str
+) -> tuple[UInt8[np.ndarray, "h w"], int]:
+    """Map all frames of a sequence and record them. Invalid frames are skipped, with a line on the standard error.
+
+    Args:
+      file: file to write.
+      sequence: the sequence.
+      settings: settings of the map.
+      name: name of the sequence.
+
+    Returns:
+      The map seen from above, and the number of invalid frames.
+
+    Raises:
+      InputError: all frames are invalid, or the file cannot be written.
+    """
+    take, read = jit(integrate, static_argnums=3), jit(terrain_map, static_argnums=1)
+    voxels, wrong = empty_map(settings), 0
+    path = np.stack([moment.pose.position for moment in sequence.moments])
+    with CameraRecording(file, camera=sequence.intrinsics, settings=settings, path=path, name=name) as recording:
+        for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
+            frame = read_frame(sequence, moment)
+            try:
+                check_frame(frame, sequence.intrinsics, settings)
+            except InputError as error:
+                tqdm.write(f"left out {moment.depth}: {error}", file=sys.stderr)
+                wrong += 1
+                continue
+            voxels = take(voxels, frame, sequence.intrinsics, settings)
+            terrain, after = jax.device_get((read(voxels, settings), voxels))
+            recording.add(MappedFrame(frame, read_picture(moment), after, terrain))
+    if wrong == len(sequence.moments):
+        raise InputError(f"{name}: something is wrong with all of its {wrong} frames; see the lines above")
+    return np.asarray(read(voxels, settings)), wrong

@@ -1,0 +1,202 @@
+"""The network that predicts cost maps: what it is shown, where features go, and how it is kept in a file."""
+
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax._src.estimation.weights import (
+    fresh_weights,
+    read_safetensors,
+    shapes_of_weights,
+    write_network,
+    write_safetensors,
+)
+from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.search_indoors.learning import networks
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, vector_size
+from dc2g_jax._src.search_indoors.learning.networks import (
+    ABLATIONS,
+    BINS,
+    ENCODER_FILE,
+    NETWORK_FILE,
+    CostMapArchitecture,
+    CostMapEstimator,
+    CostMapNetwork,
+    Prediction,
+    bin_regions,
+    fused_cost,
+    heading_bin,
+    load_costs,
+    oriented_features,
+    save_costs,
+)
+from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
+from tests.support.refusals import refusal
+
+SMALL = CostMapArchitecture(widths=(6, 8), embedding=4, features=5, feature_width=3)
+
+
+@pytest.fixture(scope="module")
+def weights():
+    """Random throughout: fresh ones have layers of zeros, behind which nothing is seen."""
+    rng = np.random.default_rng(1)
+    return jax.tree.map(
+        lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(np.float32), shapes_of_weights(CostMapNetwork, SMALL)
+    )
+
+
+@pytest.fixture(scope="module")
+def question():
+    """Two robots, maps of 20 x 28 cells."""
+    rng = np.random.default_rng(0)
+    maps = rng.integers(0, 2, (2, 36, 20, 28)).astype(np.float32)
+    return maps, np.array([0, 3]), np.float32([0.1, -2.0]), rng.normal(size=(2, 5)).astype(np.float32)
+
+
+@functools.cache
+def apply_with(inputs):
+    return jax.jit(functools.partial(networks.apply, dataclasses.replace(SMALL, inputs=inputs)))
+
+
+def answers(inputs, weights, question, **changed):
+    names = ("maps", "target", "heading", "features")
+    given = dict(zip(names, question, strict=True)) | changed
+    prediction = apply_with(inputs)(weights, *(given[name] for name in names))
+    return np.stack([prediction.occupancy, prediction.cost])
+
+
+def test_a_number_for_each_cell(weights, question):
+    answer = answers(SMALL.inputs, weights, question)
+    assert answer.shape == (2, 2, 20, 28)
+    assert ((answer[0] > 0) & (answer[0] < 1)).all()
+
+
+def test_all_that_is_known_matters(weights, question):
+    answer = answers(SMALL.inputs, weights, question)
+    other = {
+        "maps": question[0][::-1].copy(),
+        "target": question[1] + 1,
+        "heading": question[2] + np.float32(math.pi / 2),
+        "features": -question[3],
+    }
+    for name, value in other.items():
+        assert not np.allclose(answers(SMALL.inputs, weights, question, **{name: value}), answer), name
+
+
+def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
+    maps = question[0].copy()
+    semantic = np.arange(36) % 18 < SEMANTIC_CLASSES
+    maps[:, semantic] = 1 - maps[:, semantic]
+    other_features = {"features": -question[3], "heading": question[2] + 2}
+    for inputs, unseen, seen in (
+        (ABLATIONS["semantic"], other_features, {"maps": maps}),
+        (ABLATIONS["midlevel"], {"maps": maps}, other_features),
+    ):
+        answer = answers(inputs, weights, question)
+        np.testing.assert_array_equal(answers(inputs, weights, question, **unseen), answer)
+        assert not np.allclose(answers(inputs, weights, question, **seen), answer)
+    # Obstacles and explored cells are shown to all.
+    maps = question[0].copy()
+    maps[:, ~semantic] = 1 - maps[:, ~semantic]
+    assert not np.allclose(
+        answers(ABLATIONS["midlevel"], weights, question, maps=maps),
+        answers(ABLATIONS["midlevel"], weights, question),
+    )
+
+
+def test_features_lie_where_the_robot_looks():
+    degrees = np.array([0, 22, 23, 45, 90, 135, 180, -180, -90, -45, -22, 359, 720])
+    bins = [0, 0, 1, 1, 2, 3, 4, 4, 6, 7, 0, 0, 0]
+    assert heading_bin(jnp.asarray(np.radians(degrees), jnp.float32)).tolist() == bins
+    regions = bin_regions(9, 12)
+    assert regions.sum(axis=(1, 2)).tolist() == [12] * BINS
+    assert not regions.sum(axis=0)[3:6, 4:8].any()  # the middle belongs to none
+    assert regions.sum(axis=0).max() == 1
+    for number in range(BINS):
+        row, column = np.argwhere(regions[number]).mean(axis=0)
+        direction = math.atan2(4 - row, (column - 5.5) * 9 / 12)
+        assert direction == pytest.approx(math.remainder(number * math.pi / 4, math.tau), abs=1e-6) or number == 4
+    north = oriented_features(jnp.asarray([[2.0, 3.0]]), jnp.asarray([math.pi / 2]), 9, 12)
+    np.testing.assert_array_equal(north[0, 0, 5], [2, 3])
+    assert float(jnp.sum(north)) == 12 * 5
+
+
+def test_occupied_cells_lie_over_the_cost():
+    prediction = Prediction(jnp.asarray([[-1.0, 1.0]]), jnp.asarray([[0.3, 0.4]]))
+    occupancy, cost = prediction.occupancy, prediction.cost
+    np.testing.assert_array_equal(fused_cost(occupancy, cost), np.float32([[0.3, np.inf]]))
+    np.testing.assert_array_equal(fused_cost(occupancy, cost, threshold=0.2), np.float32([[np.inf, np.inf]]))
+
+
+def test_the_default_is_small():
+    sizes = [
+        math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes_of_weights(CostMapNetwork, CostMapArchitecture()))
+    ]
+    assert sum(sizes) <= 2_000_000
+
+
+@pytest.mark.parametrize("change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}])
+def test_numbers_without_sense_are_refused(change):
+    with pytest.raises(ValueError, match="give at least"):
+        dataclasses.replace(SMALL, **change)
+
+
+@pytest.fixture
+def folder(weights, tmp_path):
+    """A network beside its encoder."""
+    small = EncoderArchitecture((4, 5, 6), features=5)
+    write_network(tmp_path / ENCODER_FILE, fresh_weights(SmallEncoder, small, jax.random.key(0)), small, {})
+    save_costs(tmp_path, CostMapEstimator(weights=weights, architecture=SMALL), {"houses": "own"})
+    return tmp_path
+
+
+def test_a_network_comes_back_from_its_folder(weights, question, folder):
+    loaded, encoder = load_costs(folder)
+    assert loaded.architecture == SMALL
+    assert vector_size(encoder) == 5
+    np.testing.assert_allclose(
+        answers(SMALL.inputs, loaded.weights, question), answers(SMALL.inputs, weights, question), atol=2e-2
+    )
+    maps, target, heading, features = (jnp.asarray(part[1]) for part in question)
+    occupancy, cost = jax.jit(loaded.estimate)(maps, target, features, heading)
+    np.testing.assert_allclose(
+        np.stack([occupancy, cost]), answers(SMALL.inputs, loaded.weights, question)[:, 1], rtol=1e-4, atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("shipped", [True, False])
+def test_the_card_has_the_digests_of_the_files(shipped, folder):
+    folder = resource("weights/cost_maps_indoors") if shipped else folder
+    card = json.loads((folder / "network.json").read_text())
+    assert set(card["sha256"]) == {NETWORK_FILE, ENCODER_FILE}
+    for name, digest in card["sha256"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
+    assert load_costs(folder)[0].architecture.inputs == ABLATIONS["both"]
+    assert shipped or card["houses"] == "own"
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 8e6
+
+
+def test_files_that_are_no_network_are_refused(weights, folder):
+    path = folder / NETWORK_FILE
+    tensors, facts = read_safetensors(path)
+    for changed, said in (
+        ({}, "no network"),
+        (facts | {"card": '{"classes": ["nothing"]}'}, "classes"),
+        (facts | {"card": json.dumps(json.loads(facts["card"]) | {"cell_size": 0.05})}, "cells of 0.05 m"),
+    ):
+        write_safetensors(path, tensors, changed)
+        refusal(lambda: load_costs(folder), path, said)
+    write_safetensors(path, {name: tensors[name] for name in list(tensors)[1:]}, facts)
+    refusal(lambda: load_costs(folder), path, next(iter(tensors)), "none")
+    other = dataclasses.replace(SMALL, features=4)
+    save_costs(folder, CostMapEstimator(fresh_weights(CostMapNetwork, other, jax.random.key(0)), other), {})
+    refusal(lambda: load_costs(folder), folder, "5 features", "takes 4", "one folder")
+    (folder / ENCODER_FILE).unlink()
+    refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "dc2g objectnav train")
