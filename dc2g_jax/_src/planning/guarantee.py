@@ -69,12 +69,14 @@ class GuaranteedState(NamedTuple):
       shadow: the virtual robot.
       taken: number of decisions so far, which are the robot's actions.
       led: whether the robot returns to the shadow or goes with it.
+      bounded: whether there has been a bound at any step.
     """
 
     planner: Any
     shadow: Shadow
     taken: Int[Array, "*batch"]
     led: Bool[Array, "*batch"]
+    bounded: Bool[Array, "*batch"]
 
 
 #: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
@@ -104,8 +106,8 @@ class Guaranteed(AssessingPlanner):
       actions: additional actions whatever the size of the map, at least 0.
       renewed: actions that must be left before a robot that returned to the shadow may leave it again, for each of the
         shadow's actions; beyond half of the slack.
-      where: whether a robot is bounded, given its belief. While it is not, it follows the wrapped planner. A robot that
-        has taken more actions than the bound allows when it becomes bounded returns to the shadow.
+      where: whether a robot is bounded from now on, given its belief. Before, it follows the wrapped planner. A robot
+        that has taken more actions than the bound allows when it becomes bounded returns to the shadow.
     """
 
     planner: MapRevisingPlanner
@@ -134,7 +136,8 @@ class Guaranteed(AssessingPlanner):
             mode=jnp.full_like(zero, EXPLORE),
             steps=jnp.full_like(zero, -1),
         )
-        return GuaranteedState(self.planner.init(world), shadow, taken=zero, led=jnp.zeros_like(zero, bool))
+        no = jnp.zeros_like(zero, bool)
+        return GuaranteedState(self.planner.init(world), shadow, taken=zero, led=no, bounded=no)
 
     def assess(self, belief: Belief, state: GuaranteedState) -> tuple[Assessment, GuaranteedState]:
         """The wrapped planner's decision while the bound allows it; else return to the shadow, or go with it.
@@ -144,9 +147,10 @@ class Guaranteed(AssessingPlanner):
         heads for the shadow's next pose instead.
         """
         assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
-        shadow = self._caught_up(belief, state.shadow)
-        plan, led = self._bounded(belief, assessment.plan, state._replace(shadow=shadow))
-        return dataclasses.replace(assessment, plan=plan), GuaranteedState(planner_state, shadow, state.taken + 1, led)
+        shadow, bounded = self._caught_up(belief, state.shadow), state.bounded | self.where(belief)
+        plan, led = self._bounded(belief, assessment.plan, state._replace(shadow=shadow, bounded=bounded))
+        state = GuaranteedState(planner_state, shadow, state.taken + 1, led, bounded)
+        return dataclasses.replace(assessment, plan=plan), state
 
     def revised(self, state: GuaranteedState, changed: Board) -> GuaranteedState:
         """The state after these cells changed their class: without a bound if there are any.
@@ -203,7 +207,7 @@ class Guaranteed(AssessingPlanner):
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
-        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~self.where(belief)
+        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~state.bounded
         return _chosen(free | without_bound, wrapped, back), led
 
 
@@ -211,7 +215,7 @@ class Guaranteed(AssessingPlanner):
 class CautiousDC2G(DC2G):
     """`DC2G`, bounded in towns, which are unlike the training maps of its network (see docs/notebook/towns.md).
 
-    As long as a robot takes its map for a town, it takes at most 2.5 times the actions of frontier exploration and 50
+    Once a robot has taken its map for a town, it takes at most 2.5 times the actions of frontier exploration and 50
     more. Elsewhere, and without a memory, this is `DC2G`.
     """
 
@@ -223,7 +227,7 @@ class CautiousDC2G(DC2G):
     def _bound(self) -> Guaranteed:
         """The planner with its bound."""
         planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
-        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.7, where=in_town)
+        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town)
 
     def init(self, world: World) -> Any:
         """The state of `DC2G`, or of its bound."""
