@@ -117,7 +117,7 @@ def test_a_program_that_fails_does_not_stop_the_others(tmp_path, monkeypatch, ca
 
 def test_what_is_no_program_is_refused(tmp_path):
     wrong = Options(program=("rollout",), out=tmp_path / "out")
-    refusal(lambda: main(wrong), "--program rollout", "rollout frontier", "sweep gradient")
+    refusal(lambda: main(wrong), "--program rollout", "rollout frontier", "sweep learn")
 
 
 def test_the_extra_is_asked_for_where_it_is_missing(monkeypatch):
