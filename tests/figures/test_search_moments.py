@@ -13,7 +13,7 @@ from dc2g_jax._src.figures.search_figures import (
     PATH_COLOR,
     ROBOT_COLOR,
     TARGET_COLOR,
-    Search,
+    RecordedSearch,
     SearchMoment,
     plot_prediction,
 )
@@ -65,7 +65,7 @@ def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
         assert path.stat().st_size > 5_000
 
 
-def a_search() -> Search:
+def a_search() -> RecordedSearch:
     """A track eastward, and two moments on it with a map of nothing and costs of a meter."""
     step = np.arange(6)
     track = np.stack([1.0 + 0.2 * step, -2.0 + 0 * step, 0 * step, 0 * step, 0 * step], axis=-1)
@@ -74,7 +74,7 @@ def a_search() -> Search:
         SearchMoment(at, doing, np.zeros((30, 30), np.uint32), zero, np.ones((9, 9)), zero + 3, np.zeros((0, 2, 2)))
         for at, doing in ((0, "exploring"), (5, "goal reacher"))
     ]
-    return Search(two_rooms().world, PLANT, track, moments)
+    return RecordedSearch(two_rooms().world, PLANT, track, moments)
 
 
 def test_the_animation_of_a_search_shows_robot_path_and_costs(tmp_path):

@@ -38,7 +38,7 @@ class SearchOptions(OutOptions, SharedOptions):
         the procedural floor plans.
       split: `val` to make choices, `test` to report results.
       samples: plans that the controller samples at each step.
-      noise: noise level of camera and pose; 0 is no noise, 1 as in experiments.noisy_mapping.
+      noise: noise level of camera and pose; 0 is no noise, 1 as in dc2g noisy-mapping.
       limit: steps of 0.1 s after which a search ends without success.
       seed: seed of starts, targets and the robots' noise.
     """

@@ -16,7 +16,7 @@ from dc2g_jax._src.figures.search_figures import (
     ROBOT_COLOR,
     ROWS,
     TARGET_COLOR,
-    Search,
+    RecordedSearch,
     cost_image,
     rim_of,
     robots_map,
@@ -27,7 +27,7 @@ from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 _ROOM, _GAP, _CAPTION, _ARROW = (380, 380), 14, 38, 12
 
 
-def search_pictures(search: Search, numbers: Iterable[int]) -> Iterator[Picture]:
+def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[Picture]:
     """Pictures of some moments of a search: RGB, of equal size, with an even width and height."""
     size, track, high = search.size, search.track, search.highest
     left, right, bottom, top = search.extent
@@ -83,7 +83,7 @@ def _known(costs: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 1"]:
     return np.isfinite(costs)[..., None].astype(float)
 
 
-def animate_search(path: str | Path, search: Search) -> Path:
+def animate_search(path: str | Path, search: RecordedSearch) -> Path:
     """Write an animation of a search, see `search_pictures`, as `figures.animation.write_animation` does."""
     paint = functools.partial(search_pictures, search)
     return write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)

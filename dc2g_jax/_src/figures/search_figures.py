@@ -66,8 +66,8 @@ class SearchMoment(NamedTuple):
     plans: Float[np.ndarray, "k t 2"]
 
 
-class Search(NamedTuple):
-    """A search for an object.
+class RecordedSearch(NamedTuple):
+    """A search for an object, with the moments to show.
 
     Attributes:
       world: the house.
@@ -137,7 +137,7 @@ class PredictedMap(NamedTuple):
     true_cost: Float[Cells, "n n"]
 
 
-def plot_search(path: str | Path, search: Search) -> list[Path]:
+def plot_search(path: str | Path, search: RecordedSearch) -> list[Path]:
     """Draw moments of a search (Fig. 5 of the paper on dense cost maps), one per column.
 
     The rows show the true map with the path so far, the robot's map, and the costs of the controller with its sampled

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dc2g_jax._src.figures.search_figures import ROWS, Search, cost_image, robots_map
+from dc2g_jax._src.figures.search_figures import ROWS, RecordedSearch, cost_image, robots_map
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.viewer import _legend
 from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, send_curve, send_track
@@ -15,7 +15,7 @@ from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, sen
 _MAPS = ("true_map", "robots_map", "costs")
 
 
-def record_search(path: str | Path, name: str, search: Search) -> Path:
+def record_search(path: str | Path, name: str, search: RecordedSearch) -> Path:
     """Write a rerun file (`.rrd`) of a search: maps at each decision, in cells of the house, and the path.
 
     Args:

@@ -19,7 +19,7 @@ from dc2g_jax._src.cli.options import NetworkOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.cli.searches import SearchOptions
 from dc2g_jax._src.figures.search_animation import animate_search
-from dc2g_jax._src.figures.search_figures import Search, plot_prediction, plot_search
+from dc2g_jax._src.figures.search_figures import RecordedSearch, plot_prediction, plot_search
 from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
@@ -45,7 +45,7 @@ class Options(SearchOptions, NetworkOptions):
     Attributes:
       house: name of the house, such as `val-3`; the first one of the split by default.
       target: class of the object: bed, chair, sink, plant or couch; by default a random class in the house.
-      agent: the agent that searches; see experiments.objectnav_table1.
+      agent: the agent that searches; see dc2g objectnav table1.
     """
 
     house: HouseOption = None
@@ -81,7 +81,7 @@ def main(options: Options) -> None:
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     every = [moment_of(one, agent, options.agent) for one in begun]
     moments = [every[number] for number in choose_legs(to_goal, _COLUMNS)]
-    search = Search(house.world, target, track, every)
+    search = RecordedSearch(house.world, target, track, every)
     plot_search(out / "fig5", search._replace(moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if costs is not None:

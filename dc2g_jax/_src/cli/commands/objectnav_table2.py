@@ -44,7 +44,7 @@ class Options(ComparisonOptions):
     Attributes:
       networks: folders of networks, from experiments.objectnav_train with `--inputs semantic` and so on; the last one
         is compared with the others. The shipped network by default.
-      agent: how costs guide the robot: promising or predicted; see experiments.objectnav_table1.
+      agent: how costs guide the robot: promising or predicted; see dc2g objectnav table1.
       maps: number of partial maps to predict costs for.
     """
 
