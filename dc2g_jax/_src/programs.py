@@ -83,13 +83,14 @@ class jit:
 # fmt: off
 #: Primitives that XLA compiles within one operation of a CPU. Others call a library, or have no code there.
 _WITHIN_ONE_OPERATION = frozenset({
-    "abs", "add", "and", "argmax", "argmin", "broadcast_in_dim", "clamp", "closed_call", "concatenate", "cond",
-    "convert_element_type", "copy", "cumsum", "div", "dynamic_slice", "dynamic_update_slice", "eq", "exp", "floor",
-    "gather", "ge", "gt", "integer_pow", "iota", "is_finite", "jit", "le", "log", "lt", "max", "min", "mul", "ne",
-    "neg", "not", "optimization_barrier", "or", "pad", "pjit", "platform_index", "population_count", "reduce_and",
-    "reduce_max", "reduce_min", "reduce_or", "reduce_sum", "rem", "reshape", "rev", "round", "scan", "select_n",
-    "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign", "slice", "sqrt", "square", "squeeze",
-    "stack", "stop_gradient", "sub", "transpose", "while", "xor", "xla_metadata_value",
+    "abs", "add", "and", "argmax", "argmin", "bitcast_convert_type", "broadcast_in_dim", "clamp", "closed_call",
+    "concatenate", "cond", "convert_element_type", "copy", "cumsum", "div", "dynamic_slice", "dynamic_update_slice",
+    "eq", "exp", "floor", "gather", "ge", "gt", "integer_pow", "iota", "is_finite", "jit", "le", "log", "lt", "max",
+    "min", "mul", "ne", "neg", "not", "optimization_barrier", "or", "pad", "pjit", "platform_index",
+    "population_count", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_sum", "rem", "reshape",
+    "rev", "round", "scan", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign",
+    "slice", "sqrt", "square", "squeeze", "stack", "stop_gradient", "sub", "transpose", "while", "xor",
+    "xla_metadata_value",
 })
 # fmt: on
 
