@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Int, UInt8
+from jaxtyping import Array, Bool, Int
 
 from dc2g_jax._src.estimation.estimators import Estimates
 from dc2g_jax._src.grid import bitboard, poses
@@ -148,18 +148,12 @@ class Guaranteed(AskingPlanner):
             return self.planner.look(belief, state.planner)
         return jnp.zeros(belief.pose.x.shape, bool), ()
 
-    def question(self, belief: Belief, state: GuaranteedState) -> UInt8[Array, "h2 w2 *batch"]:
-        """The wrapped planner's question."""
-        if asks(self.planner):
-            return self.planner.question(belief, state.planner)
-        return jnp.zeros((0, 0, *belief.pose.x.shape), jnp.uint8)
-
-    def answer(self, question: UInt8[Array, "h2 w2 *batch"], state: GuaranteedState) -> Estimates:
-        """The answer to the wrapped planner's question."""
-        return self.planner.answer(question, state.planner) if asks(self.planner) else question[None]
+    def ask(self, belief: Belief, state: GuaranteedState) -> Estimates:
+        """The answer that the wrapped planner gets, if it asks."""
+        return self.planner.ask(belief, state.planner) if asks(self.planner) else jnp.zeros((1, *belief.pose.x.shape))
 
     def conclude(
-        self, belief: Belief, state: GuaranteedState, looked: Any, answer: Ask
+        self, belief: Belief, state: GuaranteedState, looked: Any, ask: Ask
     ) -> tuple[Assessment, GuaranteedState]:
         """The wrapped planner's decision while the bound allows it; else return to the shadow, or go with it.
 
@@ -169,7 +163,7 @@ class Guaranteed(AskingPlanner):
         """
         if asks(self.planner):
             assessment, planner_state = self.planner.conclude(
-                belief, state.planner, looked, lambda question, _: answer(question, state)
+                belief, state.planner, looked, lambda belief, _: ask(belief, state)
             )
         else:
             assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
@@ -264,17 +258,13 @@ class CautiousDC2G(DC2G):
         """What `DC2G` looks at."""
         return self._of(state).look(belief, state)
 
-    def question(self, belief: Belief, state: Any) -> UInt8[Array, "h2 w2 *batch"]:
-        """The question of `DC2G`."""
-        return self._of(state).question(belief, state)
-
-    def answer(self, question: UInt8[Array, "h2 w2 *batch"], state: Any) -> Estimates:
+    def ask(self, belief: Belief, state: Any) -> Estimates:
         """The answer that `DC2G` gets."""
-        return self._of(state).answer(question, state)
+        return self._of(state).ask(belief, state)
 
-    def conclude(self, belief: Belief, state: Any, looked: Any, answer: Ask) -> tuple[Assessment, Any]:
+    def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
         """Decide as `DC2G`, within the bound."""
-        return self._of(state).conclude(belief, state, looked, answer)
+        return self._of(state).conclude(belief, state, looked, ask)
 
     def revised(self, state: Any, changed: Board) -> Any:
         """The state after these cells changed their class."""

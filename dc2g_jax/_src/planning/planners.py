@@ -11,7 +11,7 @@ static. So one compiled program serves every checkpoint of the same architecture
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeGuard, get_args
 
 import jax
 import jax.numpy as jnp
@@ -115,8 +115,8 @@ def memoryless(planner: Planner) -> Planner:
     return planner.memoryless() if hasattr(planner, "memoryless") else planner
 
 
-#: Gives an estimator's answer to a question, given the planner's state.
-Ask = Callable[[UInt8[Array, "h2 w2 *batch"], Any], Estimates]
+#: Gives the estimator's answer for a belief and a planner's state.
+Ask = Callable[[Belief, Any], Estimates]
 
 
 class AssessingPlanner(Planner, Protocol):
@@ -143,29 +143,25 @@ class AskingPlanner(AssessingPlanner):
         """Whether the estimator is asked, and what else the decision depends on."""
         raise NotImplementedError
 
-    def question(self, belief: Belief, state: Any) -> UInt8[Array, "h2 w2 *batch"]:
-        """The map that the estimator is asked about, if it is."""
-        raise NotImplementedError
-
-    def answer(self, question: UInt8[Array, "h2 w2 *batch"], state: Any) -> Estimates:
+    def ask(self, belief: Belief, state: Any) -> Estimates:
         """The estimator's answer."""
         raise NotImplementedError
 
-    def conclude(self, belief: Belief, state: Any, looked: Any, answer: Ask) -> tuple[Assessment, Any]:
+    def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
         """Decide the next action.
 
         Args:
           belief: what the robot knows.
           state: state of the planner.
           looked: the second result of `look`.
-          answer: gives the estimator's answer, see `answer`.
+          ask: `(belief, state) ->` the estimator's answer.
         """
         raise NotImplementedError
 
     def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
         """Decide the next action, and return the inputs."""
         _, looked = self.look(belief, state)
-        return self.conclude(belief, state, looked, self.answer)
+        return self.conclude(belief, state, looked, self.ask)
 
 
 class MapRevisingPlanner(Planner, Protocol):
@@ -223,7 +219,7 @@ def _depth(planner: Planner, *names: str) -> int:
     return next((depth for depth, kind in enumerate(classes) if not vars(kind).keys().isdisjoint(names)), len(classes))
 
 
-def asks(planner: Planner) -> bool:
+def asks(planner: Planner) -> TypeGuard[AskingPlanner]:
     """Whether a planner's decisions are those of `AskingPlanner`, rather than of a subclass with its own `plan`."""
     return isinstance(planner, AskingPlanner) and _depth(planner, "conclude") <= _depth(planner, "assess", "plan")
 
@@ -483,30 +479,26 @@ class DC2G(AskingPlanner):
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
         return outdated, Look(outdated, reachable, revealing, decided_near)
 
-    def question(self, belief: Belief, state: "ExplorationState") -> UInt8[Array, "h2 w2 *batch"]:
-        """The part of the map that the estimator is given, in the view whose turn it is."""
+    def ask(self, belief: Belief, state: "ExplorationState") -> Estimates:
+        """The selection rule's summary of an estimate, for the next view; without a memory, for all views."""
         part = self._extent(belief).part(observed_terrain(belief), belief.pose)
-        return in_view(part, self.views, state.choice.view, 0) if self.memory else part
+        told = functools.partial(self._told, state=state.estimator)
+        if not self.memory:
+            return at_once(told, part, self.views)
+        view = state.choice.view
+        return in_view(told(in_view(part, self.views, view, 0)), self.views, view, 1)
 
-    def answer(self, question: UInt8[Array, "h2 w2 *batch"], state: "ExplorationState") -> Estimates:
-        """The selection rule's summary of the estimate; without a memory, its mean over all views."""
-        ask = functools.partial(self._told, state=state.estimator)
-        return ask(question) if self.memory else at_once(ask, question, self.views)
-
-    def _choose(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", answer: Ask) -> "Choice":
+    def _choose(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", ask: Ask) -> "Choice":
         """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
         belief, _, look = inputs
-        choice = self._estimated(inputs, before, answer)
+        choice = self._estimated(inputs, before, ask)
         candidates, score, _ = self._scored(belief, look, choice.estimate)
         return choice._replace(subgoals=_lowest(score, candidates, belief.width))
 
-    def _estimated(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", answer: Ask) -> "Choice":
+    def _estimated(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", ask: Ask) -> "Choice":
         """A new estimate, with the subgoals of before."""
         belief, state, _ = inputs
-        answered = answer(self.question(belief, state), state)
-        if self.memory:
-            answered = in_view(answered, self.views, before.view, 1)
-        latest = self._extent(belief).merged(answered, belief.pose, before.estimates[0])
+        latest = self._extent(belief).merged(ask(belief, state), belief.pose, before.estimates[0])
         first = bitboard.is_empty(before.estimated_from)
         # The first estimate stands for all views.
         estimates = (latest, *(jnp.where(first, latest, older) for older in before.estimates[:-1]))
@@ -515,13 +507,13 @@ class DC2G(AskingPlanner):
         )
 
     def conclude(
-        self, belief: Belief, state: "ExplorationState", looked: "Look", answer: Ask
+        self, belief: Belief, state: "ExplorationState", looked: "Look", ask: Ask
     ) -> "tuple[Assessment, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
 
         The scores are the current ones; the subgoal had the lowest when it was chosen.
         """
-        make = functools.partial(self._choose if self.memory else self._estimated, answer=answer)
+        make = functools.partial(self._choose if self.memory else self._estimated, ask=ask)
         choice = update_where(make, looked.outdated, (belief, state, looked), state.choice)
         candidates, score, penalty = self._scored(belief, looked, choice.estimate)
         if not self.memory:  # the choice is always new, so it is made from these scores

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Int, Int8, UInt8
+from jaxtyping import Array, Bool, Int, Int8
 
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
@@ -240,17 +240,13 @@ def _alone(
       step_limit: actions after which an episode ends.
     """
 
-    def look(slots: _Slots) -> tuple[Bool[Array, "1"], Any]:
-        asks, looked = planner.look(slots.belief, slots.planner_state)
-        return asks & slots.active, looked
-
-    def question(slots: _Slots) -> UInt8[Array, "h w 1"]:
-        return planner.question(slots.belief, slots.planner_state)
+    def look(state: _State) -> tuple[Bool[Array, "1"], Any]:
+        return planner.look(state.slots.belief, state.slots.planner_state)
 
     def go_on(state: _State, looked: Any, answer: Any) -> tuple[_State, Any]:
-        """One robot, until it asks or its turn ends."""
+        """One robot, until it asks again or its turn ends."""
 
-        def waits(carry: tuple[_State, Any, Array]) -> Bool[Array, ""]:
+        def goes_on(carry: tuple[_State, Any, Array]) -> Bool[Array, ""]:
             state, (asks, _), taken = carry
             return (state.slots.active & ((taken == 0) | ~asks & (taken < _DECISIONS_PER_TURN)))[0]
 
@@ -264,46 +260,33 @@ def _alone(
             state = _advance(state, decide, sensing, step_limit)
             finished = state.slots.finished
             state = jax.lax.cond(finished[0], lambda: _seat(_record(state), finished, queue, sensing), lambda: state)
-            return state, look(state.slots), taken + 1
+            return state, look(state), taken + 1
 
-        state, looked, _ = jax.lax.while_loop(waits, cycle, (state, looked, jnp.int32(0)))
-        return state, looked
+        return jax.lax.while_loop(goes_on, cycle, (state, looked, jnp.int32(0)))[:2]
 
-    def every_turn(state: _State, looked: Any, questions: Array, answers: Array) -> tuple[_State, Any, Array]:
-        def turn(index: Array, carry: tuple[_State, Any, Array]) -> tuple[_State, Any, Array]:
-            state, looked, questions = carry
-            own = dataclasses.replace(state, slots=_member(state.slots, index))
-            own, own_looked = go_on(own, _member(looked, index), _member(answers, index))
-            slots, looked, questions = jax.tree.map(
-                lambda all_, new: jax.lax.dynamic_update_index_in_dim(all_, new, index, 0),
-                (state.slots, looked, questions),
-                (own.slots, own_looked, question(own.slots)),
-            )
-            return dataclasses.replace(own, slots=slots), looked, questions
+    def every_turn(state: _State, looked: Any, answers: Any) -> tuple[_State, Any]:
+        def turn(index: Array, carry: tuple[_State, Any]) -> tuple[_State, Any]:
+            everyone = carry[0].slots, carry[1]
+            slots, looked, answer = jax.tree.map(lambda leaf: leaf[index], (*everyone, answers))
+            state, looked = go_on(dataclasses.replace(carry[0], slots=slots), looked, answer)
+            slots, looked = jax.tree.map(lambda leaf, own: leaf.at[index].set(own), everyone, (state.slots, looked))
+            return dataclasses.replace(state, slots=slots), looked
 
-        return jax.lax.fori_loop(0, len(answers), turn, (state, looked, questions))
+        return jax.lax.fori_loop(0, len(state.slots.active), turn, (state, looked))
 
-    def ask_and_go_on(carry: tuple[_State, Any, Array, Array]) -> tuple[_State, Any, Array, Array]:
-        state, looked, questions, cycles = carry
-        together = jax.tree.map(lambda leaf: jnp.moveaxis(leaf[..., 0], 0, -1), (questions, state.slots.planner_state))
-        answers = jnp.moveaxis(planner.answer(*together), -1, 0)[..., None]
-        return *one_operation(every_turn, state, looked, questions, answers), cycles + 1
+    def ask_and_go_on(carry: tuple[_State, Any, Array]) -> tuple[_State, Any, Array]:
+        state, looked, asked = carry
+        belief, planner_state = jax.tree.map(
+            lambda leaf: jnp.moveaxis(leaf[..., 0], 0, -1), (state.slots.belief, state.slots.planner_state)
+        )
+        answers = jnp.moveaxis(planner.ask(belief, planner_state), -1, 0)[..., None]
+        return *one_operation(every_turn, state, looked, answers), asked + 1
 
-    def unfinished(carry: tuple[_State, Any, Array, Array]) -> Bool[Array, ""]:
-        return (carry[3] < n_steps) & jnp.any(carry[0].slots.active)
+    def unfinished(carry: tuple[_State, Any, Array]) -> Bool[Array, ""]:
+        return (carry[2] < n_steps) & jnp.any(carry[0].slots.active)
 
-    first = state, *jax.lax.map(lambda slots: (look(slots), question(slots)), state.slots), jnp.int32(0)
-    return jax.lax.while_loop(unfinished, ask_and_go_on, first)[0]
-
-
-def _member(tree: Any, index: Array) -> Any:
-    """One member of a batch on the first axis."""
-    return jax.tree.map(lambda leaf: jax.lax.dynamic_index_in_dim(leaf, index, 0, keepdims=False), tree)
-
-
-def _by_itself(planner: Planner, mesh: Mesh) -> bool:
-    """Whether robots run one after another until they ask."""
-    return platform(mesh) == "cpu" and asks(planner)
+    looked = jax.lax.map(lambda slots: look(dataclasses.replace(state, slots=slots)), state.slots)
+    return jax.lax.while_loop(unfinished, ask_and_go_on, (state, looked, jnp.int32(0)))[0]
 
 
 @functools.partial(
@@ -345,7 +328,7 @@ def _run(
         return jax.lax.while_loop(go_on, until_some_finish, (state, jnp.int32(0)))[0]
 
     def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
-        if _by_itself(planner, mesh):
+        if platform(mesh) == "cpu" and asks(planner):
             return _alone(dealt[0], n_steps, dealt[1], planner, sensing, step_limit)
         return one_operation(run, *dealt, n_steps, planner)
 
@@ -371,7 +354,7 @@ def _first_states(
             mode=jnp.full(rows, EXPLORE, jnp.int32),
         )
         turns = jnp.arange(n_slots, dtype=jnp.int32)
-        if _by_itself(planner, mesh):
+        if platform(mesh) == "cpu" and asks(planner):
             slots = jax.lax.map(lambda turn: _robots(queue, turn, sensing), turns[:, None])
         else:
             slots = _robots(queue, turns, sensing)
