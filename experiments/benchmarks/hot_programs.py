@@ -22,8 +22,9 @@ from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.devices import AXIS, RUNS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.search_indoors.learning.networks import load_costs
 from dc2g_jax._src.search_indoors.search import searches
-from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.guides import agent_with
 from dc2g_jax._src.search_indoors.search.searches import IndoorSite, leg
 from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
@@ -180,12 +181,12 @@ def _robots_steps(step: Step, where: Any, sites: Any, components: Any, robots: A
 
 
 def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
-    agent, houses, side, n = agent_with("promising", open_costs(None)), 8, _INDOOR_CELLS, mesh.size
+    agent, houses, side, n = agent_with("promising", load_costs()), 8, _INDOOR_CELLS, mesh.size
     sites = IndoorSite(
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        guide=None,
+        true_distance=None,
     )
     begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)

@@ -30,7 +30,7 @@ def options(tmp_path, monkeypatch):
 def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was(options, capsys):
     main(options)
     assert "Training on 4 samples of 1 houses" in capsys.readouterr().out
-    estimator, _ = load_costs(options.out)
+    estimator = load_costs(options.out)
     assert estimator.architecture.widths == (4, 4)
     card = json.loads((options.out / "network.json").read_text())
     assert card["validation"]["step"] == 2

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
@@ -28,7 +29,6 @@ from dc2g_jax._src.search_indoors.learning.data import (
     map_cells,
     turned_heading,
 )
-from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, indoor_camera
 from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
@@ -41,6 +41,14 @@ TABLE_BOX = Furniture(TABLE, 4.5, 2.0, 0.8, 0.4, 0.0, 0.7)
 CONFIG = CollectionConfig(journeys=3, views=20, places=2)
 
 
+@struct.dataclass
+class Quarters:
+    """An encoder: the mean color of each quarter of a picture."""
+
+    def encode(self, images):
+        return jnp.mean(images.reshape(-1, 2, 24, 2, 32, 3), axis=(2, 4, 5)).reshape(len(images), 4)
+
+
 @pytest.fixture(scope="module")
 def world():
     return world_from_plan(plan(BED_BOX, PLANT_BOX, TABLE_BOX), 0.1)
@@ -49,9 +57,7 @@ def world():
 @pytest.fixture(scope="module")
 def samples(world) -> JourneySet:
     """Journeys in one house; features are the mean colors of pictures' quarters."""
-    kernel = jnp.ones((1, 3, 1, 1))
-    encoder = ConvolutionEncoder(kernels=(kernel,), biases=(jnp.full(1, 3.0),), stride=24)
-    made = collect([IndoorHouse("train-0", "train", world)], encoder, CONFIG)
+    made = collect([IndoorHouse("train-0", "train", world)], Quarters(), CONFIG)
     return jax.tree.map(jnp.asarray, made)
 
 
@@ -88,9 +94,7 @@ def test_journeys_are_through_free_floor_and_reveal_the_house(samples, world):
 
 
 def test_the_same_seed_gives_the_same_journeys(samples, world):
-    kernel = jnp.ones((1, 3, 1, 1))
-    encoder = ConvolutionEncoder(kernels=(kernel,), biases=(jnp.full(1, 3.0),), stride=24)
-    again = collect([IndoorHouse("train-0", "train", world)], encoder, CONFIG)
+    again = collect([IndoorHouse("train-0", "train", world)], Quarters(), CONFIG)
     jax.tree.map(np.testing.assert_array_equal, again, samples)
 
 
@@ -123,9 +127,9 @@ def test_normalized_costs():
 def test_the_network_is_shown_what_the_robots_map_would_show(world):
     """The window around a robot, from the agent's own map of bits."""
     codes, cell = cell_codes(world), jnp.array([14, 40])
-    settings = mapping.IndoorMapSettings(cells=GLOBAL, local=LOCAL, cell_size=0.1)
     position = jnp.asarray([cell[1] + 0.5, -(cell[0] + 0.5)], jnp.float32) * 0.1
-    theirs = mapping.network_input(mapping.IndoorMap(map_cells(codes), jnp.zeros(2, jnp.int32)), position, settings)
+    whole = mapping.IndoorMap(map_cells(codes), jnp.zeros(2, jnp.int32))
+    theirs = mapping.network_maps(mapping.window(whole, mapping.grid_cell(position, 0.1), GLOBAL), LOCAL)
     around = mapping.square(codes, cell - GLOBAL // 2, GLOBAL, UNEXPLORED)
     ours = np.asarray(mapping.network_maps(map_cells(around), LOCAL))
     np.testing.assert_array_equal(ours, theirs)
@@ -208,7 +212,6 @@ def test_codes_of_cells(world):
 
 
 def test_houses_that_are_too_large_are_refused(world):
-    encoder = ConvolutionEncoder(kernels=(), biases=())
     config = CollectionConfig(largest=20)
-    refusal(lambda: collect([IndoorHouse("train-0", "train", world)], encoder, config), "20 cells", "larger")
+    refusal(lambda: collect([IndoorHouse("train-0", "train", world)], Quarters(), config), "20 cells", "larger")
     refusal(lambda: CollectionConfig(views=255), "255 views")

@@ -8,14 +8,14 @@ from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region
 from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
-from dc2g_jax._src.search_indoors.search.agent import LIMITS, MPC, Agent
-from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier
+from dc2g_jax._src.search_indoors.search.agent import LIMITS, Agent, with_mpc
+from dc2g_jax._src.search_indoors.search.guides import nearest_frontier, until_seen
 from dc2g_jax._src.vehicles.mppi import MPPISettings
 
 #: An agent with a small camera that samples few controls.
 AGENT = Agent(
-    guide=GoalReacher(NearestFrontier()),
-    steering=MPC(),
+    guide=until_seen(nearest_frontier),
+    steering=with_mpc,
     camera=intrinsics(90.0, 30, 40),
     mapping=IndoorMapSettings(cells=120, local=60),
     controller=MPPISettings(limits=LIMITS, samples=8, horizon=20),

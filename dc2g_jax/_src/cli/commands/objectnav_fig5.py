@@ -27,8 +27,7 @@ from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import DECLARED
 from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
-from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
+from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, estimator_for, true_distance
 from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, search_for, site_of
 from dc2g_jax._src.viewer.search_recording import record_search
 
@@ -65,8 +64,8 @@ def main(options: Options) -> None:
         episode = sample_episodes([house], 1, seed=options.seed)[0]
     else:
         episode = search_for(house, options.target, seed=options.seed)
-    costs = costs_for([options.agent], options.network)
-    agent = agent_with(options.agent, costs, options.samples, options.noise)
+    network = estimator_for([options.agent], options.network)
+    agent = agent_with(options.agent, network, options.samples, options.noise)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
     target = OBJECT_CLASSES.index(episode.target)
@@ -84,10 +83,10 @@ def main(options: Options) -> None:
     search = RecordedSearch(house.world, target, track, every)
     plot_search(out / "fig5", search._replace(moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
-    if costs is not None:
+    if network is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
-        truth = TrueCost().of_house(house.world, agent.controller.limits.radius)
-        prediction = prediction_at(last, site, truth, agent, costs)
+        knowing = dataclasses.replace(agent, true_distance=true_distance(house.world, agent))
+        prediction = prediction_at(last, site, knowing)
         plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
     animate_search(out / "search.gif", search)
     record_search(out / "search.rrd", search_name, search)

@@ -25,14 +25,13 @@ from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, vector_size
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.learning.networks import (
     ABLATIONS,
     ENCODER_FILE,
     INPUT_CHANNELS,
     NETWORK_FILE,
     CostMapArchitecture,
-    CostMapEstimator,
     save_costs,
 )
 from dc2g_jax._src.search_indoors.learning.training import (
@@ -123,7 +122,7 @@ class Options(TrainingOptions, Pauses):
         return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
 
 
-def _open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
+def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
     own, folder = options.out / ENCODER_FILE, options.out / "encoder"
     if options.encoder is not None and not own.exists():
@@ -172,9 +171,8 @@ def training_task(
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         weights = first_copy(state.trained)
-        estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
         latest = None if loss is None else float(loss)
-        found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
+        found = {"step": step, "training_loss": latest, **figures(weights, batches, config)}
         card: dict[str, Any] = {
             "houses": options.dataset,
             "cell_size": IndoorMapSettings.cell_size,
@@ -183,7 +181,7 @@ def training_task(
             "commit": commit(),
             "validation": found,
         }
-        save_costs(options.out, estimator, card)
+        save_costs(options.out, weights, config.architecture, card)
         return [found]
 
     return Task(
@@ -225,7 +223,7 @@ def main(options: Options) -> None:
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
     validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
-    config = options.training(vector_size(encoder))
+    config = options.training(encoder.architecture.features)
     facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
     train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)

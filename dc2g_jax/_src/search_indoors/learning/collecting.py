@@ -20,7 +20,7 @@ from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, repli
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region, padded_alike, painted, scene
 from dc2g_jax._src.search_indoors.learning.data import JourneySet, cell_codes, in_millimeters
-from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.camera import CameraView, camera_over, indoor_camera, view
 from dc2g_jax._src.search_indoors.maps.classes import GOALS
 from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, inflated, with_tight_cells
@@ -239,11 +239,11 @@ def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> tuple:
 
 @functools.partial(jit, static_argnames=("mesh", "cell_size", "views"))
 def _collect_houses(
-    houses: tuple, encoder: ImageEncoder, *, mesh: Mesh, cell_size: float, views: int
+    houses: tuple, encoder: TrainedEncoder, *, mesh: Mesh, cell_size: float, views: int
 ) -> tuple[UInt16[Array, "devices 1 goal h w"], Journey, Float16[Array, "devices 1 n 2 f"]]:
     """Labels, journeys, and features of images and of their mirror images, of a house on each device."""
 
-    def on_device(houses: tuple, encoder: ImageEncoder) -> tuple[Array, Journey, Array]:
+    def on_device(houses: tuple, encoder: TrainedEncoder) -> tuple[Array, Journey, Array]:
         world, house, paint, places, starts, key = jax.tree.map(lambda leaf: leaf[0], houses)
         labels, distances = _distances(world.free, world.classes, places, cell_size)
         keys = jax.random.split(jax.random.wrap_key_data(key), len(starts))
@@ -260,7 +260,7 @@ def _collect_houses(
 
 def collect(
     houses: Sequence[IndoorHouse],
-    encoder: ImageEncoder,
+    encoder: TrainedEncoder,
     config: CollectionConfig,
     on_progress: Callable[[int], None] | None = None,
 ) -> JourneySet:

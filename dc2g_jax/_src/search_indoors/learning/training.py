@@ -41,7 +41,7 @@ from dc2g_jax._src.search_indoors.learning.midlevel import (
     SmallEncoder,
     TrainedEncoder,
 )
-from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
+from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, Prediction, fused_cost
 from dc2g_jax._src.search_indoors.maps.camera import CameraView
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
@@ -205,15 +205,15 @@ def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> l
     return [draw(key, data) for key in keys]
 
 
-def figures(estimator: CostMapEstimator, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
+def figures(weights: Any, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
     """Losses, and metrics of section III-B in percent, on validation samples.
 
     Args:
-      estimator: the network.
+      weights: weights of the network.
       batches: samples, see `validation_samples`.
       config: configuration of its training.
     """
-    found = [jax.tree.map(np.asarray, _examine(estimator.weights, batch, config)) for batch in batches]
+    found = [jax.tree.map(np.asarray, _examine(weights, batch, config)) for batch in batches]
     counts = sum(batch["confusion"].astype(np.float64) for batch in found)
     mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}
     percent: dict[str, Any] = occupancy_scores(jnp.asarray(counts, jnp.float32))

@@ -292,11 +292,3 @@ def network_maps(cells: UInt32[Array, "n n"], local: int) -> Float[Array, "36 lo
     bits = (squares >> channels[:, None, None, None, None]) & 1
     pooled = jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
     return jnp.concatenate([((near >> channels[:, None, None]) & 1).astype(jnp.float32), pooled])
-
-
-def network_input(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
-) -> Float[Array, "36 local local"]:
-    """The network's input for a robot at a position (x and y, meters), see `network_maps`."""
-    middle = grid_cell(position, settings.cell_size)
-    return network_maps(window(indoor_map, middle, settings.cells), settings.local)

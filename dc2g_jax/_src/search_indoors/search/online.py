@@ -22,11 +22,11 @@ from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, camera_pose
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, cost_at, look, steer
-from dc2g_jax._src.search_indoors.search.named import agent_with, costs_for
+from dc2g_jax._src.search_indoors.search.guides import agent_with, estimator_for
 from dc2g_jax._src.vehicles.robot import DRIVING
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, reachable_command
 
-#: Agents that a robot can be. The others of `search.named.AgentName` know the house or drive at random.
+#: Agents that a robot can be. The others of `search.guides.AgentName` know the house or drive at random.
 ONLINE_AGENTS = ("promising", "predicted", "frontier")
 
 #: Names of the targets.
@@ -119,7 +119,7 @@ class OnlineSearcher:
         if isinstance(agent, str):
             if agent not in ONLINE_AGENTS:
                 raise InputError(f"agent {agent!r}: use one of {', '.join(ONLINE_AGENTS)}, or give one of your own")
-            agent = agent_with(agent, costs_for([agent], network))
+            agent = agent_with(agent, estimator_for([agent], network))
         self.agent = agent if camera is None else dataclasses.replace(agent, camera=camera)
         image, still = (self.agent.camera.height, self.agent.camera.width), (0.0, 0.0, 0.0)
         frame = Frame(jnp.zeros(image), jnp.zeros(image, jnp.uint8), camera_pose(0.0, 0.0, 0.0))
@@ -176,7 +176,7 @@ class OnlineSearcher:
             raise InputError(f"target {target!r} is new to the robot, but there is no frame; give one with it")
         memory = _move(memory, _vehicle(pose, speeds), goal, agent)
         if frame is not None:
-            picture = _checked_picture(image) if agent.guide.uses_image else None
+            picture = _checked_picture(image) if agent.estimator is not None else None
             memory = _look(memory, _checked_frame(frame, agent.camera), picture, agent)
         memory, found = _steer(memory, agent)
         (speed, turn_rate), arrived, to_goal, cost = (value.tolist() for value in jax.device_get(found))

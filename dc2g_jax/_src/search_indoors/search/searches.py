@@ -24,7 +24,8 @@ from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Guide, Searcher, arrives, begin, look, steer
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
+from dc2g_jax._src.search_indoors.search.guides import true_costs, true_distance
 from dc2g_jax._src.vehicles.footprint import Ground
 from dc2g_jax._src.vehicles.robot import at_starts, is_driving, run_to_end, stopped_by_obstacles
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, at_rest, drive
@@ -47,13 +48,13 @@ class IndoorSite:
       scene: scene for the simulated camera.
       paint: color of each cell, see `houses.worlds.painted`.
       free: free floor.
-      guide: the guide that knows this house, of privileged agents; `None` for all others.
+      true_distance: that of privileged agents, see `search.agent.Agent`; `None` for all others.
     """
 
     scene: Scene
     paint: UInt8[Array, "h w 3"]
     free: Bool[Array, "h w"]
-    guide: Guide | None
+    true_distance: Float[Array, "goal h w"] | None
 
 
 @struct.dataclass
@@ -87,7 +88,7 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
         scene=scene(world),
         paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
         free=jnp.asarray(world.free),
-        guide=agent.guide.of_house(world, agent.controller.limits.radius),
+        true_distance=true_distance(world, agent) if agent.guide is true_costs else None,
     )
 
 
@@ -134,7 +135,7 @@ def picture(robot: IndoorRobot, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
 
 def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
-    agent = agent if site.guide is None else dataclasses.replace(agent, guide=site.guide)
+    agent = dataclasses.replace(agent, true_distance=site.true_distance)
     drift_key, frame_key = jax.random.split(jax.random.fold_in(robot.key, _NOISE))
     drift, pose = drift_on(drift_key, robot.drift, agent.noise, robot.moved), _camera_of(robot)
     frame = noisy_frame(frame_key, render(site.scene, agent.camera, pose, agent.mapping.reach), agent.noise)
@@ -142,7 +143,7 @@ def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Indoo
     robot = dataclasses.replace(
         robot, vehicle=_estimated(robot.true, drift), drift=drift, moved=jnp.zeros_like(robot.moved)
     )
-    image = picture(robot, site) if agent.guide.uses_image else None
+    image = picture(robot, site) if agent.estimator is not None else None
     return look(robot, frame, image, agent)
 
 
