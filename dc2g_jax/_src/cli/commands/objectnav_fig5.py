@@ -18,8 +18,7 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.options import NetworkOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.cli.searches import SearchOptions
-from dc2g_jax._src.figures.search_animation import animate_search
-from dc2g_jax._src.figures.search_figures import RecordedSearch, plot_prediction, plot_search
+from dc2g_jax._src.figures.search_figures import RecordedSearch, animate_search, plot_prediction, plot_search
 from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
@@ -81,7 +80,7 @@ def main(options: Options) -> None:
     every = [moment_of(one, agent, options.agent) for one in begun]
     moments = [every[number] for number in choose_legs(to_goal, _COLUMNS)]
     search = RecordedSearch(house.world, target, track, every)
-    plot_search(out / "fig5", search._replace(moments=moments))
+    plot_search(out / "fig5", dataclasses.replace(search, moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if network is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]

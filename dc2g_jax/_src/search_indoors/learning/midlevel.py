@@ -1,7 +1,7 @@
 """Mid-level features of camera images (section II-B), and the encoder that computes them.
 
-The paper uses pretrained encoders for semantic segmentation, object classification and depth. Here a small network is
-trained for these three tasks together on images of the simulator. Its answers to all tasks depend on one feature vector.
+The paper uses pretrained encoders for semantic segmentation, object classification and depth. Here, one small network
+is trained for these three tasks on images of the simulator. Its answers to all tasks depend on one feature vector.
 """
 
 import dataclasses
