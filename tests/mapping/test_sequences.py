@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, HOUSE, ROAD
-from dc2g_jax._src.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax._src.mapping.camera import CameraPose, Frame
 from dc2g_jax._src.mapping.checks import check_frame
 from dc2g_jax._src.mapping.sequences import (
@@ -242,7 +241,8 @@ def test_the_map_covers_all_within_reach_of_the_way(tmp_path):
         )
 
 
-def test_quaternions_are_rotations_by_an_angle_about_an_axis():
+def test_poses_turn_by_an_angle_about_an_axis(recording):
+    """Quaternions of any length, x, y, z, w."""
     rng = np.random.default_rng(3)
     axes = [*rng.normal(size=(20, 3)), *np.eye(3), *np.eye(3)]
     angles = [*rng.uniform(-3, 3, 20), *[np.pi] * 3, *[0.0] * 3]
@@ -250,14 +250,12 @@ def test_quaternions_are_rotations_by_an_angle_about_an_axis():
         x, y, z = unit = axis / np.linalg.norm(axis)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         turn = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross  # Rodrigues
-        quaternion = np.array([*math.sin(angle / 2) * unit, math.cos(angle / 2)])
-        np.testing.assert_allclose(rotation_from_quaternion(-2.5 * quaternion), turn, atol=1e-12)
-        found = quaternion_from_rotation(turn)
-        assert found[3] >= 0
-        np.testing.assert_allclose(abs(found @ quaternion), 1, atol=1e-12)
-        np.testing.assert_allclose(np.linalg.norm(found), 1, atol=1e-12)
-    for wrong in ([0.0, 0, np.nan, 1], [0.0, 0, 0, 0], [0.0, 0, np.inf, 1]):
-        refusal(lambda wrong=wrong: rotation_from_quaternion(np.array(wrong)), "length")
+        quaternion = -2.5 * np.array([*math.sin(angle / 2) * unit, math.cos(angle / 2)])
+        (recording / "groundtruth.txt").write_text(f"1 0 0 1 {' '.join(map(str, quaternion))}\n")
+        np.testing.assert_allclose(read_sequence(recording).moments[0].pose.rotation, turn, atol=1e-6)
+    for wrong in ("0 0 0 0", "1e-9 0 0 0", "1e200 1e200 1e200 0"):
+        (recording / "groundtruth.txt").write_text(f"1 0 0 1 {wrong}\n")
+        refusal(lambda: read_sequence(recording), "groundtruth.txt", "line 1")
 
 
 def test_frames_of_a_recording_are_those_of_its_camera(recording):

@@ -48,7 +48,7 @@ def plan(*furniture: Furniture, door: float = 1.0, width: float = 6.0, wall: flo
 def two_rooms() -> IndoorHouse:
     """A bed and a plant. In the world, rooms begin at x = 0.25 and y = -0.25; the wall between them is at x = 3.25."""
     bed, plant = Furniture(BED, 0.6, 2.0, 1.0, 1.6, 0.0, 0.6), Furniture(PLANT, 4.6, 0.4, 0.4, 0.4, 0.0, 0.8)
-    return IndoorHouse("two_rooms", "val", world_from_plan(plan(bed, plant, width=5.0, wall=3.0), 0.1))
+    return IndoorHouse("two_rooms", world_from_plan(plan(bed, plant, width=5.0, wall=3.0), 0.1))
 
 
 def rooms_cut_off(world: IndoorWorld) -> list[int]:

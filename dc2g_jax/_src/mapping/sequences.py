@@ -31,12 +31,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
+from scipy.spatial.transform import Rotation
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax._src.files.png import MOST_PIXELS, read_png, write_png
 from dc2g_jax._src.files.reading import TEXT, finite_number, read_bytes, read_text
-from dc2g_jax._src.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax._src.mapping.checks import check_intrinsics
 from dc2g_jax._src.mapping.semantic_map import MapSettings
@@ -53,6 +53,9 @@ POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
 
 #: Largest coordinate of a camera, meters: single precision holds it to one meter.
 _FARTHEST = 1e7
+
+#: A shorter quaternion is rejected as zero.
+_SHORTEST = 1e-6
 
 #: Most cells of a map that covers a recording.
 MOST_CELLS = 2**24
@@ -270,7 +273,7 @@ def _write_shot(folder: Path, time: str, shot: Shot) -> dict[str, str]:
         (folder / kind).mkdir(exist_ok=True)
         write_png(folder / kind / f"{time}.png", image)
         lines[name] = f"{time} {kind}/{time}.png"
-    turn = quaternion_from_rotation(np.asarray(shot.frame.pose.rotation))
+    turn = Rotation.from_matrix(np.asarray(shot.frame.pose.rotation)).as_quat(canonical=True)
     numbers = [*np.asarray(shot.frame.pose.position).tolist(), *turn.tolist()]
     lines[POSE_LIST] = f"{time} {' '.join(f'{number:.9g}' for number in numbers)}"
     return lines
@@ -298,12 +301,10 @@ def _read_poses(path: Path) -> list[tuple[float, CameraPose]]:
         time, *numbers = _numbers(path, line, words)
         if max(map(abs, numbers)) > _FARTHEST:
             raise InputError(f"{path}: line {line} has {max(numbers, key=abs):g}; give meters, at most {_FARTHEST:g}")
-        try:
-            rotation = rotation_from_quaternion(np.array(numbers[3:]))
-        except InputError as error:
-            raise InputError(f"{path}: line {line}: {error}") from None
+        if not _SHORTEST < (length := float(np.linalg.norm(numbers[3:]))) < np.inf:
+            raise InputError(f"{path}: line {line} has a quaternion of length {length:g}; give one of length 1")
         position: Any = np.array(numbers[:3], np.float32)
-        turn: Any = rotation.astype(np.float32)
+        turn: Any = Rotation.from_quat(numbers[3:]).as_matrix().astype(np.float32)
         poses.append((time, CameraPose(position=position, rotation=turn)))
     return sorted(poses, key=_TIME)
 

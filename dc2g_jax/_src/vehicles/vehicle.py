@@ -7,14 +7,10 @@ place, because a circular footprint then covers no new ground.
 All functions take one vehicle; use `jax.vmap` for batches.
 """
 
-import dataclasses
-
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-
-from dc2g_jax._src.errors import InputError
 
 #: Seconds between two commands, 10 Hz.
 CONTROL_PERIOD = 0.1
@@ -47,9 +43,6 @@ class VehicleLimits:
       max_acceleration: largest acceleration and deceleration, meters per second squared.
       max_turn_acceleration: largest change of the turn rate in either direction, radians per second squared.
       radius: radius of the footprint, meters.
-
-    Raises:
-      InputError: a limit is not above 0.
     """
 
     max_speed: float = struct.field(pytree_node=False, default=1.5)
@@ -57,11 +50,6 @@ class VehicleLimits:
     max_acceleration: float = struct.field(pytree_node=False, default=1.5)
     max_turn_acceleration: float = struct.field(pytree_node=False, default=8.0)
     radius: float = struct.field(pytree_node=False, default=0.3)
-
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            if not getattr(self, field.name) > 0:
-                raise InputError(f"{field.name} of the vehicle is {getattr(self, field.name)}; give a number above 0")
 
 
 def at_rest(position: ArrayLike, yaw: ArrayLike) -> VehicleState:

@@ -7,7 +7,7 @@ wanted class is in the map, next to the truth.
 
 import dataclasses
 import sys
-from typing import Annotated
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import DECLARED
 from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
 from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, estimator_for, true_distance
-from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, search_for, site_of
+from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, site_of
 from dc2g_jax._src.viewer.search_recording import record_search
 
 #: Number of moments in the figure.
@@ -47,7 +47,9 @@ class Options(SearchOptions, NetworkOptions):
     """
 
     house: HouseOption = None
-    target: Annotated[str | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")] = None
+    target: Annotated[
+        Literal["bed", "chair", "sink", "plant", "couch"] | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")
+    ] = None
     agent: AgentName = "promising"
 
 
@@ -59,10 +61,7 @@ def main(options: Options) -> None:
         house = indoor_houses(*where, count=1, cell_size=cell_size)[0]
     else:
         house = indoor_house(options.house, *where, cell_size=cell_size)
-    if options.target is None:
-        episode = sample_episodes([house], 1, seed=options.seed)[0]
-    else:
-        episode = search_for(house, options.target, seed=options.seed)
+    (episode,) = sample_episodes([house], 1, seed=options.seed, target=options.target)
     network = estimator_for([options.agent], options.network)
     agent = agent_with(options.agent, network, options.samples, options.noise)
     out = output_folder(options, "objectnav_fig5")

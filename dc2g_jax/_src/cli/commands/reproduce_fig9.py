@@ -30,8 +30,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.vehicles.drive import STATUS_NAMES, Equipment, reset
-from dc2g_jax._src.vehicles.fleet import sites_of
-from dc2g_jax._src.vehicles.trace import Moment, moments
+from dc2g_jax._src.vehicles.fleet import Moment, moments, sites_of
 from dc2g_jax._src.viewer.camera_recording import CameraRecording, MappedFrame
 
 #: Number of moments in the figure.

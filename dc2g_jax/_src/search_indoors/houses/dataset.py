@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,18 +27,15 @@ _ENDINGS = (".jsonl.gz", ".jsonl")
 _ATTEMPTS = 100
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IndoorHouse:
+class IndoorHouse(NamedTuple):
     """One house.
 
     Attributes:
-        name: such as `train-17`: the split, and the line of the file or the index of the procedural house.
-        split: 'train', 'val' or 'test'.
-        world: the house as cells.
+      name: such as `train-17`: the split, and the line of the file or the index of the procedural house.
+      world: the house as cells.
     """
 
     name: str
-    split: str
     world: IndoorWorld
 
 
@@ -110,7 +108,7 @@ def indoor_houses(
         plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
-    return [IndoorHouse(f"{split}-{number}", split, world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
+    return [IndoorHouse(f"{split}-{number}", world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
 
 
 def indoor_house(
@@ -132,7 +130,7 @@ def indoor_house(
                 f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
                 "on; give one of these, or another --split"
             )
-        return IndoorHouse(name, split, world_from_plan(draw_plan(0, split, int(number)), cell_size))
+        return IndoorHouse(name, world_from_plan(draw_plan(0, split, int(number)), cell_size))
     houses = indoor_houses(location, split, cell_size=cell_size)
     for house in houses:
         if house.name == name:

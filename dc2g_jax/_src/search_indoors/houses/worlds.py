@@ -12,7 +12,6 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int16, UInt8
 from scipy.ndimage import distance_transform_edt
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.ground import component_numbers, connected_to
 from dc2g_jax._src.mapping.scene import Scene, scene_from_heights
 from dc2g_jax._src.search_indoors.maps.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, NO_COLOR, OBJECT_COLORS
@@ -102,18 +101,9 @@ def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: 
       columns: columns of the padded grid.
       rooms: number of rooms after padding, including the outside.
       objects: number of objects after padding.
-
-    Raises:
-      InputError: the house is larger than that.
     """
     height, width = world.free.shape
     more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.object_kinds)
-    if min(more) < 0:
-        raise InputError(
-            f"a house of {height} x {width} cells, {len(world.room_kinds)} rooms with the outside and "
-            f"{len(world.object_kinds)} objects does not fit into {rows} x {columns}, {rooms} and {objects}; "
-            "give larger numbers"
-        )
 
     def filled(leaf: np.ndarray, *lacking: int) -> np.ndarray:
         after = [*lacking, *(0 for _ in range(leaf.ndim - len(lacking)))]
@@ -136,13 +126,7 @@ def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
 
     Args:
       worlds: at least one house, all with cells of the same size.
-
-    Raises:
-      InputError: there are no houses, or their cell sizes differ.
     """
-    sizes = sorted({float(world.cell_size) for world in worlds})
-    if len(sizes) != 1:
-        raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with equal cells")
     shapes = [(*world.free.shape, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
     return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]
 

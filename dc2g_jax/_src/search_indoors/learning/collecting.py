@@ -19,7 +19,7 @@ from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region, padded_alike, painted, scene
-from dc2g_jax._src.search_indoors.learning.data import JourneySet, cell_codes, in_millimeters
+from dc2g_jax._src.search_indoors.learning.data import JourneySet, in_millimeters, map_of
 from dc2g_jax._src.search_indoors.learning.midlevel import TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.camera import CameraView, camera_over, indoor_camera, view
 from dc2g_jax._src.search_indoors.maps.classes import GOALS
@@ -291,7 +291,7 @@ def collect(
     labels, journeys, features = jax.tree.map(lambda *leaves: np.concatenate(leaves), *rounds)
     headings = journeys.headings.reshape(-1, config.views)
     return JourneySet(
-        cells=np.stack([np.asarray(cell_codes(world)) for world in worlds]),
+        cells=np.stack([np.asarray(map_of(world)) for world in worlds]),
         distance=labels,
         house=np.repeat(np.arange(len(worlds), dtype=np.int32), config.journeys),
         first_seen=journeys.first_seen.reshape(-1, *journeys.first_seen.shape[2:]),

@@ -28,7 +28,6 @@ from dc2g_jax._src.search_indoors.learning.data import (
 from dc2g_jax._src.search_indoors.learning.losses import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
-    LossWeights,
     action_accuracy,
     confusion,
     occupancy_scores,
@@ -104,7 +103,6 @@ class CostMapConfig(Supervised):
     Attributes:
       architecture: architecture of the network.
       recipe: settings of the optimization.
-      loss_weights: weights of the three losses.
       steps: total number of optimizer steps.
       batch_size: samples per step.
       seed: seed of weights and batches.
@@ -115,7 +113,6 @@ class CostMapConfig(Supervised):
 
     architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
     recipe: Recipe = BETTER_RECIPE
-    loss_weights: LossWeights = dataclasses.field(default_factory=LossWeights)
     steps: int = 5000
     batch_size: int = 16
     seed: int = 0
@@ -168,8 +165,7 @@ def mean_loss(
     """Mean of equation (4) over a batch, the mean of each of its losses, and the predictions."""
     maps = jax.vmap(functools.partial(network_maps, local=LOCAL))(samples.cells)
     prediction = networks.apply(config.architecture, weights, maps, samples.target, samples.heading, samples.features)
-    of_map = functools.partial(total_loss, weights=config.loss_weights)
-    loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+    loss, losses = jax.tree.map(jnp.mean, jax.vmap(total_loss)(prediction, samples.occupied, samples.cost))
     return loss, (losses, prediction)
 
 

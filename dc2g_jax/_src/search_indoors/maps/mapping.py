@@ -21,7 +21,6 @@ from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.mapping.camera import Frame, Intrinsics, check_shapes, points, rays
 from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from dc2g_jax._src.vehicles.footprint import cell_at
@@ -51,9 +50,6 @@ class IndoorMapSettings:
       lowest: points lower than this above the floor are no obstacles, meters.
       highest: points higher than this, the height of the robot, are no obstacles, meters.
       inset: a return nearer than this to the cell behind it counts for that cell, meters.
-
-    Raises:
-      InputError: a value is out of range.
     """
 
     cells: int = struct.field(pytree_node=False, default=420)
@@ -63,20 +59,6 @@ class IndoorMapSettings:
     lowest: float = struct.field(pytree_node=False, default=0.1)
     highest: float = struct.field(pytree_node=False, default=1.5)
     inset: float = struct.field(pytree_node=False, default=0.001)
-
-    def __post_init__(self) -> None:
-        whole = [isinstance(value, int) for value in (self.local, self.cells)]
-        multiple = self.cells >= self.local > 0 and not self.cells % self.local
-        for name, sound, remedy in (
-            ("local", whole[0] and self.local >= 1, "give a whole number above 0"),
-            ("cells", whole[1] and multiple, f"give a multiple of {self.local}"),
-            ("cell_size", 0 < self.cell_size < math.inf, "give meters above 0"),
-            ("reach", 0 < self.reach < math.inf, "give meters above 0"),
-            ("inset", 0 <= self.inset < math.inf, "give meters, 0 or more"),
-            ("highest", self.highest > self.lowest, f"give meters above {self.lowest}"),
-        ):
-            if not sound:
-                raise InputError(f"{name} of the indoor map is {getattr(self, name)}; {remedy}")
 
     @property
     def window(self) -> int:

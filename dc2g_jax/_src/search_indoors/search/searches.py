@@ -23,7 +23,7 @@ from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.classes import TARGETS
 from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
 from dc2g_jax._src.search_indoors.search.guides import true_costs, true_distance
 from dc2g_jax._src.vehicles.footprint import Ground
@@ -225,8 +225,10 @@ class Searches:
     collisions: Int[np.ndarray, "episodes"]
 
 
-def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Search]:
-    """Random starts with a random target each, of the classes that can be reached in the house (section III-C).
+def sample_episodes(
+    houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0, target: str | None = None
+) -> list[Search]:
+    """Random starts with a target each (section III-C).
 
     Houses in which no object of any class can be reached are passed over.
 
@@ -234,45 +236,27 @@ def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int 
       houses: where.
       per_house: episodes in each.
       seed: of starts and targets; what is drawn in a house does not depend on the others.
+      target: name of the wanted class; by default a random one each, of the classes that can be reached in the house.
 
     Raises:
-      InputError: there is no episode at all.
+      InputError: there is no episode at all, or the target cannot be reached in a house.
     """
     episodes: list[Search] = []
     for house in houses:
         rng = np.random.default_rng([seed, *house.name.encode()])
-        drawn = {goal: sample_starts(house.world, goal, per_house, rng=rng) for goal in GOALS}
-        goals = [goal for goal in GOALS if len(drawn[goal])]
-        for number, goal in enumerate(rng.choice(goals, per_house).tolist() if goals else []):
-            x, y, yaw = drawn[goal][number].tolist()
-            episodes.append(Search(house.name, OBJECT_CLASSES[goal], x, y, yaw))
+        starts = {name: sample_starts(house.world, goal, per_house, rng=rng) for goal, name in TARGETS.items()}
+        there = [name for name, drawn in starts.items() if len(drawn)]
+        if target is not None and target not in there:
+            raise InputError(
+                f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or "
+                "another --house"
+            )
+        targets = [target] * per_house if target else rng.choice(there, per_house).tolist() if there else []
+        for number, name in enumerate(targets):
+            episodes.append(Search(house.name, name, *starts[name][number].tolist()))
     if not episodes:
         raise InputError(f"no object can be searched for in {len(houses)} houses; give others, or more of them")
     return episodes
-
-
-def search_for(house: IndoorHouse, target: str, *, seed: int = 0) -> Search:
-    """A search for an object of a class, from a random start.
-
-    Args:
-      house: the house.
-      target: name of the class.
-      seed: seed of the start.
-
-    Raises:
-      InputError: the target is not a goal class, or the house has no reachable object of this class.
-    """
-    rng = np.random.default_rng([seed, *house.name.encode()])
-    starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
-    there = [name for name, drawn in starts.items() if len(drawn)]
-    if target not in starts:
-        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(starts)}")
-    if target not in there:
-        raise InputError(
-            f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or another "
-            "--house"
-        )
-    return Search(house.name, target, *starts[target][0].tolist())
 
 
 def search_all(
@@ -293,16 +277,13 @@ def search_all(
       limit: control periods after which an episode ends.
       seed: of all random numbers of the robots.
       on_progress: called now and then with the number of episodes that have ended.
-
-    Raises:
-      InputError: the houses' cells are not those of the agent's map.
     """
     sites, site_numbers = _sites(agent, houses)
     mesh, count = mesh_of(), len(episodes)
     keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
     where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
-    targets = np.array([GOALS.index(OBJECT_CLASSES.index(episode.target)) for episode in episodes], np.int32)
+    targets = np.array([list(TARGETS.values()).index(episode.target) for episode in episodes], np.int32)
     agent, sites = replicate((agent, sites), mesh)
     keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
     robots = at_starts(keys, (starts, targets), agent, mesh=mesh, reset=reset, number=limit)
@@ -315,11 +296,6 @@ def search_all(
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
     """Houses of one size as sites, stacked, and the number of each by its name."""
-    size = agent.mapping.cell_size
-    for house in houses:
-        if abs(float(house.world.cell_size) - size) > 1e-6:
-            own = float(house.world.cell_size)
-            raise InputError(f"{house.name} has cells of {own:g} m, the agent's map of {size:g} m; make them alike")
     worlds = [house.world for house in houses]
     rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
     padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
