@@ -174,7 +174,13 @@ def _scene(houses: int, side: int) -> Scene:
     return Scene(_array(*cells, dtype=jnp.float32), _array(*cells, dtype=jnp.uint8), number, number)
 
 
-def _robots_steps(step: Step, where: Any, sites: Any, components: Any, robots: Any, mesh: Mesh) -> HotProgram:
+def _robots_steps(
+    reset: robot.Reset, number: int, step: Step, own: Any, sites: Any, components: Any, mesh: Mesh
+) -> HotProgram:
+    n, each = jax.tree.leaves(own)[-1].shape
+    where = _array(n, each)
+    begin = functools.partial(robot._at_starts, mesh=mesh, reset=reset, number=number)
+    robots = jax.eval_shape(begin, where, _array(n, each, 2, dtype=jnp.uint32), own, sites, components)
     arguments = (where, sites, components, _array(), robots, _array())
     specs = (_DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
     return HotProgram(robot._go_on, arguments, specs, {"mesh": mesh, "step": step}, where.size, mesh, depth=1)
@@ -188,20 +194,16 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         free=_array(houses, side, side, dtype=jnp.bool_),
         true_distance=None,
     )
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
-    starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
-    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
-    return _robots_steps(leg, each, sites, agent, state, mesh)
+    own = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
+    return _robots_steps(searches.at_start, searches.TIME_LIMIT, leg, own, sites, agent, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
     equipped, n = equipment("dc2g", network_in_folder(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=fleet.at_start, number=0)
-    episodes, shared = Episodes(each, Pose(each, each, each)), (sites, equipped, _array(dtype=jnp.bool_))
-    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), episodes, shared)
-    return _robots_steps(step, each, sites, equipped, state, mesh)
+    own = Pose(each, each, each), _array(n, robots, dtype=jnp.bool_)
+    return _robots_steps(fleet.at_start, 0, step, own, sites, equipped, mesh)
 
 
 def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Mesh], HotProgram]]]:

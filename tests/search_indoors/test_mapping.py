@@ -114,7 +114,8 @@ def test_crops_are_centered_on_the_robot_and_empty_off_the_map():
     position = jnp.array([9.04, -1.28], jnp.float32)
     around = np.pad(cells, 100)[100 + 32 - 45 : 100 + 32 + 45, 100 + 83 - 45 : 100 + 83 + 45]
     bits = (around >> np.arange(18, dtype=np.uint32)[:, None, None]) & 1
-    maps = np.asarray(jax.jit(lambda place: mapping.network_input(indoor_map, place, SETTINGS))(position))
+    show = lambda place: mapping.network_maps(mapping.window(indoor_map, mapping.grid_cell(place, 0.1), 90), 30)  # noqa: E731
+    maps = np.asarray(jax.jit(show)(position))
     assert maps.shape == (36, 30, 30)
     np.testing.assert_array_equal(maps[:18], bits[:, 30:60, 30:60])
     np.testing.assert_allclose(maps[18:], bits.reshape(18, 30, 3, 30, 3).mean(axis=(2, 4)), rtol=1e-6)

@@ -10,14 +10,14 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.mapping.camera import Frame
 from dc2g_jax._src.mapping.scene import scene_from_terrain
 from dc2g_jax._src.mapping.simulator import picture
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
 from dc2g_jax._src.rollouts.rollout import Episodes
 from dc2g_jax._src.vehicles.drive import ARRIVED, Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
-from dc2g_jax._src.vehicles.robot import at_starts, is_driving, run_to_end
+from dc2g_jax._src.vehicles.robot import is_driving, run_all
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
 #: Control periods that the first call of the device drives.
@@ -86,29 +86,22 @@ def drive_all(
       time_limit: seconds after which an episode ends without success.
       on_progress: called now and then with the number of episodes that have ended.
     """
-    mesh = mesh_of()
-    count, last_period = len(episodes), round(time_limit / CONTROL_PERIOD)
-    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
-    equipment, sites = replicate((equipment, sites), mesh)
-    episodes, keys = deal((episodes, keys), count, mesh)
-    shared = sites, equipment, jnp.asarray(knows_map)
-    robots = at_starts(keys, episodes, shared, mesh=mesh, reset=at_start, number=pedestrians)
-    robots = run_to_end(
-        robots, step, episodes.world, sites, equipment,
-        limit=last_period, count=count, first_steps=_FIRST_PERIODS, on_progress=on_progress,
+    own = episodes.start, np.full(len(episodes), knows_map)
+    status, *periods = run_all(
+        at_start, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
+        own, episodes.world, sites, equipment, seed=seed, number=pedestrians,
+        limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS, on_progress=on_progress,
     )  # fmt: skip
-    status, *periods = gather((robots.status, robots.periods, robots.off_ground, robots.touched), count)
     seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
     return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
 
 
 def at_start(
-    key: Key[Array, ""], episode: Episodes, shared: tuple[Site, Equipment, Bool[Array, ""]], pedestrians: int
+    key: Key[Array, ""], own: tuple[Pose, Bool[Array, ""]], site: Site, equipment: Equipment, pedestrians: int
 ) -> Robot:
-    """The robot at the start of its episode; for `vehicles.robot.at_starts`."""
-    sites, equipment, knows_map = shared
-    site = jax.tree.map(lambda leaf: leaf[episode.world], sites)
-    return reset(key, episode.start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
+    """The robot at the start of its episode; its own are the first pose, and whether it knows the map."""
+    start, knows_map = own
+    return reset(key, start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
 
 
 class Moment(NamedTuple):

@@ -6,6 +6,7 @@ another simulator, so its figures are shown for orientation only.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 from dc2g_jax._src.cli.common import command_line
@@ -13,6 +14,7 @@ from dc2g_jax._src.cli.options import NetworkOptions
 from dc2g_jax._src.cli.searches import ComparisonOptions, compare
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.search.agent import Agent
 from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, PAPER_TABLE1, SearchSummary, table1
 from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, estimator_for
 
@@ -37,7 +39,7 @@ def main(options: Options) -> None:
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     network = estimator_for(options.agents, options.network)
-    agents = {
+    agents: dict[str, Callable[[], Agent]] = {
         name: functools.partial(agent_with, name, network, options.samples, options.noise) for name in options.agents
     }
 

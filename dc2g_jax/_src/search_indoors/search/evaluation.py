@@ -237,7 +237,7 @@ METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
 
 
 #: Table I of the paper, by the names of `SearchSummary`. `predicted` is its "Our Approach".
-PAPER_TABLE1 = {
+PAPER_TABLE1: dict[str, dict[str, Any]] = {
     name: dict(zip(("success", "spl", "distance", "steps", "acceleration", "jerk"), line, strict=True))
     for name, line in {
         "true_cost": (1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
@@ -247,7 +247,7 @@ PAPER_TABLE1 = {
 }
 
 #: Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters.
-PAPER_TABLE2 = {
+PAPER_TABLE2: dict[str, dict[str, Any]] = {
     name: dict(zip(("metrics", "success", "spl", "distance"), line, strict=True))
     for name, line in {
         "semantic": ((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),

@@ -19,7 +19,6 @@ from dc2g_jax._src.mapping.camera import CameraPose
 from dc2g_jax._src.mapping.noise import PoseDrift, drift_on, drifted, no_drift, noisy_frame
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.simulator import render
-from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
@@ -27,7 +26,7 @@ from dc2g_jax._src.search_indoors.maps.classes import TARGETS
 from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
 from dc2g_jax._src.search_indoors.search.guides import true_costs, true_distance
 from dc2g_jax._src.vehicles.footprint import Ground
-from dc2g_jax._src.vehicles.robot import at_starts, is_driving, run_to_end, stopped_by_obstacles
+from dc2g_jax._src.vehicles.robot import is_driving, run_all, stopped_by_obstacles
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, at_rest, drive
 
 #: Control periods of an episode: 50 s (section III-C).
@@ -279,19 +278,24 @@ def search_all(
       on_progress: called now and then with the number of episodes that have ended.
     """
     sites, site_numbers = _sites(agent, houses)
-    mesh, count = mesh_of(), len(episodes)
-    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
-    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
+    names = list(TARGETS.values())
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
-    targets = np.array([list(TARGETS.values()).index(episode.target) for episode in episodes], np.int32)
-    agent, sites = replicate((agent, sites), mesh)
-    keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
-    robots = at_starts(keys, (starts, targets), agent, mesh=mesh, reset=reset, number=limit)
-    robots = run_to_end(
-        robots, leg, where, sites, agent, limit=limit, count=count, first_steps=_FIRST_LEGS, on_progress=on_progress
-    )
-    track, status, steps, collisions = gather((robots.track, robots.status, robots.periods, robots.collisions), count)
+    own = starts, np.array([names.index(episode.target) for episode in episodes], np.int32)
+    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
+    track, status, steps, collisions = run_all(
+        at_start, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
+        own, where, sites, agent,
+        seed=seed, number=limit, limit=limit, first_steps=_FIRST_LEGS, on_progress=on_progress,
+    )  # fmt: skip
     return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
+
+
+def at_start(
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: IndoorSite, agent: Agent, limit: int
+) -> IndoorRobot:
+    """See `reset`, which does not need the site."""
+    del site
+    return reset(key, search, agent, limit)
 
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
