@@ -11,7 +11,6 @@ from PIL import Image
 
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, HOUSE, ROAD
 from dc2g_jax._src.mapping.camera import CameraPose, Frame
-from dc2g_jax._src.mapping.checks import check_frame
 from dc2g_jax._src.mapping.sequences import (
     ImageSequence,
     Shot,
@@ -22,7 +21,7 @@ from dc2g_jax._src.mapping.sequences import (
     read_sequence,
     write_sequence,
 )
-from tests.support.frames import CAMERA, SETTINGS, random_frame
+from tests.support.frames import CAMERA, random_frame
 from tests.support.refusals import refusal
 
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -69,7 +68,6 @@ def test_what_is_nearest_in_time_belongs_together(recording):
     assert [float(moment.pose.position[0]) for moment in sequence.moments] == pytest.approx([1.002, 2.015])
     assert [moment.classes.name for moment in sequence.moments] == ["c 0.png", "c 1.png"]
     assert [read_picture(moment) for moment in sequence.moments] == [b"anything", None]
-    assert len(read_sequence(recording, tolerance=0.1).moments) == 3
     assert [float(getattr(sequence.intrinsics, name)) for name in ("focal_x", "focal_y", "center_x", "center_y")] == (
         pytest.approx([19, 23, 14.3, 8.9])
     )
@@ -89,9 +87,9 @@ def test_depth_has_5000_steps_a_meter(recording):
 def test_written_recordings_come_back(tmp_path):
     rng = np.random.default_rng(0)
     shots = [Shot(random_frame(rng), rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)) for _ in range(3)]
-    sequence = read_sequence(write_sequence(tmp_path / "new" / "folder", CAMERA, iter(shots), rate=5.0))
+    sequence = read_sequence(write_sequence(tmp_path / "new" / "folder", CAMERA, iter(shots)))
     assert sequence.skipped == 0
-    assert [moment.time for moment in sequence.moments] == pytest.approx([0, 0.2, 0.4])
+    assert [moment.time for moment in sequence.moments] == pytest.approx([0, 0.1, 0.2])
     for name in ("focal_x", "focal_y", "center_x", "center_y", "height", "width"):
         assert getattr(sequence.intrinsics, name) == getattr(CAMERA, name)
     for (frame, picture), moment, found in zip(shots, sequence.moments, frames(sequence), strict=True):
@@ -104,7 +102,6 @@ def test_written_recordings_come_back(tmp_path):
         np.testing.assert_allclose(found.pose.position, frame.pose.position, rtol=1e-6)
         np.testing.assert_allclose(found.pose.rotation, frame.pose.rotation, atol=2e-6)
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(read_picture(moment)))), picture)
-        check_frame(dataclasses.replace(found, classes=np.minimum(found.classes, 15)), sequence.intrinsics, SETTINGS)
 
 
 def test_a_writer_that_stops_leaves_what_it_has_written(tmp_path):
@@ -121,12 +118,6 @@ def test_a_writer_that_stops_leaves_what_it_has_written(tmp_path):
     assert len(sequence.moments) == 2
     assert read_picture(sequence.moments[0]) is None
     refusal(lambda: write_sequence(tmp_path / "out", CAMERA, []), tmp_path / "out", "not an empty folder")
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, 1e7, math.nan])
-def test_a_rate_that_gives_no_times_is_refused_before_anything_is_written(tmp_path, rate):
-    refusal(lambda: write_sequence(tmp_path / "out", CAMERA, [], rate=rate), rate, "give a number above 0")
-    assert not (tmp_path / "out").exists()
 
 
 def test_images_of_another_camera_are_not_written(tmp_path):

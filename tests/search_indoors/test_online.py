@@ -159,4 +159,4 @@ def test_bad_input_is_refused(wrong, mentions):
 
 def test_agents_that_know_the_house_are_refused():
     refusal(lambda: OnlineSearcher("true_cost"), "'true_cost'", "promising, predicted, frontier")
-    refusal(lambda: OnlineSearcher(AGENT.replace(guide=true_costs)), "true_costs", "ahead of time", "another guide")
+    refusal(lambda: OnlineSearcher(AGENT.replace(guide=true_costs)), "true_costs", "ahead of time", "another one")

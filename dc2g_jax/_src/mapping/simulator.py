@@ -32,9 +32,8 @@ from dc2g_jax._src.grid.terrain import CAR, CLASS_NAMES, HOUSE
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, level_camera, rays
 from dc2g_jax._src.mapping.scene import CELL_SIZE, SHAPES, Scene
 
-#: The default camera: horizontal field of view in degrees, rows and columns, height in meters, pitch in radians.
+#: The default camera: horizontal field of view in degrees, height in meters, pitch in radians.
 FIELD_OF_VIEW = 90.0
-IMAGE_SIZE = (120, 160)
 CAMERA_HEIGHT = 1.0
 CAMERA_PITCH = math.radians(15)
 
