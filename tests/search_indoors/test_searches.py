@@ -58,7 +58,7 @@ def test_drift_moves_where_a_robot_believes_to_be_and_not_where_it_is(found):
     for noise in (NoiseLevels(0.0), NoiseLevels(0.0, position_drift=0.3, yaw_drift=0.1)):
         first = reset(jax.random.key(0), (start, target), AGENT, 30)
         robot = next_leg(next_leg(next_leg(first, noise), noise), noise)
-        drift = jnp.stack([robot.drift.x, robot.drift.y, robot.drift.yaw])
+        drift = robot.drift
         assert np.any(drift != 0) == np.any(noise.position_drift != 0)
         x, y, yaw = robot.track[robot.periods, :3]
         np.testing.assert_array_equal(robot.true.position, (x, y))

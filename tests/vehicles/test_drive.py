@@ -10,7 +10,7 @@ import pytest
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.planning.planners import Frontier, Oracle
-from dc2g_jax._src.vehicles import fleet, trace
+from dc2g_jax._src.vehicles import fleet
 from dc2g_jax._src.vehicles.drive import ARRIVED, NOTHING_LEFT, reset, step
 from dc2g_jax._src.vehicles.robot import DRIVING
 from dc2g_jax._src.vehicles.vehicle import VehicleLimits
@@ -25,7 +25,7 @@ def explored():
     site = jax.tree.map(lambda leaf: leaf[0], SITES)
     robot = made(Frontier(RULES))
     first = reset(jax.random.key(0), make_pose(9, 2, 2), site, robot)
-    return list(trace.moments(first, site, robot, 120.0))
+    return list(fleet.moments(first, site, robot, 120.0))
 
 
 def test_a_robot_with_a_camera_finds_the_door(explored):

@@ -28,7 +28,7 @@ from dc2g_jax._src.search_indoors.search.evaluation import (
     summarize,
     with_interval,
 )
-from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, Search, sample_episodes, search_all
+from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, sample_episodes, search_all
 
 #: Printed below every table.
 _CAVEAT = (
@@ -80,18 +80,6 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
     episodes: int = 40
     resamples: int = 10_000
 
-    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
-        """The houses and the searches in them.
-
-        Raises:
-          InputError: a number is below 1, or there are not enough houses.
-        """
-        require_positive(self, "count", "episodes", "samples", "limit", "resamples")
-        houses = indoor_houses(
-            self.dataset, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
-        )
-        return houses, sample_episodes(houses, self.episodes, seed=self.seed)
-
 
 def compare(
     command: str,
@@ -114,7 +102,15 @@ def compare(
     Raises:
       InputError: a number is below 1, there are not enough houses, or the file holds other searches.
     """
-    houses, episodes = options.places()
+    require_positive(options, "count", "episodes", "samples", "limit", "resamples")
+    houses = indoor_houses(
+        options.dataset,
+        options.split,
+        count=options.count,
+        cell_size=IndoorMapSettings.cell_size,
+        strict=options.strict,
+    )
+    episodes = sample_episodes(houses, options.episodes, seed=options.seed)
     given = {"dataset": tree_sha256([house.world for house in houses]), **digests(**inputs)}
     out = output_folder(options, command, inputs=given)
     table, results, progress = ResumableTable(out / "episodes.csv", SearchResult), {}, EpisodeProgress()

@@ -83,13 +83,7 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 @jit
 def prediction_at(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> PredictedMap:
-    """What a network predicts for a robot's local map, and the truth there.
-
-    Args:
-      robot: the robot.
-      site: the house.
-      agent: components of the robot, with the network and the true distances.
-    """
+    """What an agent's network predicts for its local map, and the truth there by the agent's true distances."""
     side = agent.mapping.local
     free = square(site.free, robot.local_middle - side // 2, side, False)
     true = true_costs(robot, None, agent).distance

@@ -98,13 +98,7 @@ def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CEL
 
 
 def scene_from_heights(heights: Float[np.ndarray, "h w"], classes: UInt8[np.ndarray, "h w"], tile_size: float) -> Scene:
-    """The scene of tiles with the given heights.
-
-    Args:
-      heights: heights of the tiles above the ground, meters, not negative.
-      classes: class index of every tile.
-      tile_size: side of a tile, meters.
-    """
+    """The scene of tiles with the given heights above the ground, meters, none negative."""
     clearance = _distance(heights == 0) - 1
     return Scene(
         field=jnp.asarray(np.where(heights > 0, heights, -clearance), jnp.float32),

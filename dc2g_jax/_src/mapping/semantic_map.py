@@ -140,12 +140,6 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
     map are dropped. A pixel without label (0, or an invalid class index) marks a voxel as occupied without a vote for a
     class.
 
-    Args:
-      semantic_map: the map so far.
-      frame: depth, classes and pose of the camera.
-      intrinsics: intrinsics of the camera.
-      settings: the settings with which the map was made.
-
     Raises:
       InputError: the sizes of frame, intrinsics and settings do not match.
     """

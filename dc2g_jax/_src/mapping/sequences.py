@@ -112,9 +112,6 @@ class Shot(NamedTuple):
 def read_sequence(folder: str | Path) -> ImageSequence:
     """Read the lists of a recording and match their entries by time.
 
-    Args:
-      folder: folder of the recording.
-
     Raises:
       InputError: a list or `camera.txt` is missing or invalid, or no depth image has both a class image and a pose near
         it in time.

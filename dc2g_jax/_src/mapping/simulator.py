@@ -206,25 +206,13 @@ def classes_of(scene: Scene, hits: Hit) -> UInt8[Array, "h w"]:
 
 
 def render(scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: ArrayLike = CAMERA_RANGE) -> Frame:
-    """Render the frame of a camera without errors.
-
-    Args:
-      scene: the scene.
-      intrinsics: intrinsics of the camera.
-      pose: pose of the camera; also the pose of the frame.
-      max_range: range of the camera, meters.
-    """
+    """Render the frame of a camera with a range of `max_range` meters, without errors."""
     hits = cast_all(scene, pose, rays(intrinsics, pose), max_range)
     return Frame(depth=hits.distance, classes=classes_of(scene, hits), pose=pose)
 
 
 def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
-    """The pose of the default camera of a robot in the middle of a cell.
-
-    Args:
-      pose: column, row and heading of one robot.
-      cell_size: side of a cell, meters.
-    """
+    """The pose of the default camera of a robot in the middle of a cell of `cell_size` meters."""
     return level_camera(
         x=(pose.x + 0.5) * cell_size,
         y=-(pose.y + 0.5) * cell_size,

@@ -134,14 +134,7 @@ def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, Vehicl
 
 
 def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:
-    """Drive an episode to its end, frame by frame.
-
-    Args:
-      robot: the robot at its start.
-      site: the true house.
-      equipment: components of the robot.
-      time_limit: seconds after which the episode ends without success.
-    """
+    """Drive an episode to its end, frame by frame, for `time_limit` seconds at most."""
     while is_driving(robot, time_limit / CONTROL_PERIOD):
         seconds = float(robot.periods) * CONTROL_PERIOD
         robot, place, frame, seen = _next(robot, site, equipment)

@@ -116,13 +116,6 @@ def improved(
 
     The noise is first clipped by the vehicle's limits on velocities and accelerations in every copy, so the new plan
     respects them too. Where the limits are inactive this is exactly the equation.
-
-    Args:
-      controls: current plan.
-      noise: noise on the commands of each copy.
-      state: current state of the vehicle.
-      cost_of_pose: cost of a pose.
-      settings: settings of the controller.
     """
     path = _driven(state, controls + noise, settings)
     commands = jnp.stack([path.speed, path.turn_rate], axis=-1)

@@ -58,12 +58,6 @@ def stopped_by_obstacles(
     It still turns, because a circular footprint covers no new ground. A vehicle that already touches an obstacle may
     move away from it.
 
-    Args:
-      before: the vehicle at the start of a control period.
-      after: the vehicle at its end without obstacles.
-      ground: allowed ground of the footprint.
-      radius: radius of the footprint, meters.
-
     Returns:
       The vehicle at the end of the period, and whether it was stopped.
     """

@@ -53,12 +53,7 @@ class VehicleLimits:
 
 
 def at_rest(position: ArrayLike, yaw: ArrayLike) -> VehicleState:
-    """The state of a vehicle at rest.
-
-    Args:
-      position: x and y, meters.
-      yaw: direction of the vehicle, radians.
-    """
+    """The state of a vehicle at rest; x and y, meters, and yaw, radians."""
     still = jnp.float32(0)
     return VehicleState(
         position=jnp.asarray(position, jnp.float32),
@@ -95,12 +90,6 @@ def _along_arc(
 
     The chord of an arc of length s that turns by a has length s sin(a / 2) / (a / 2) and the direction half-way through
     the turn. This is exact for every turn, including 0.
-
-    Args:
-      position: start of the arc, meters.
-      yaw: direction at the start, radians.
-      traveled: length of the arc, meters.
-      turned: change of direction along the arc, radians.
     """
     # jnp.sinc(x) is sin(pi x) / (pi x), and 1 at 0.
     chord = traveled * jnp.sinc(turned / (2 * jnp.pi))

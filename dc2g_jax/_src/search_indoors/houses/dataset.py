@@ -50,11 +50,6 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
     A robot of default radius can drive between all cells in which it fits. This is checked with cells of `CHECK_CELLS`;
     with finer cells there may be isolated gaps behind furniture. All doors are open.
 
-    Args:
-      seed: a non-negative seed.
-      split: 'train', 'val' or 'test'.
-      index: index of the house in the split, from 0.
-
     Raises:
       InputError: there is no such split, or a number is negative.
     """

@@ -109,10 +109,6 @@ def read_procthor(
 def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> HousePlan:
     """The plan of one house. ProcTHOR's x and z are the plan's x and y; its clockwise angles become negative.
 
-    Args:
-      house: the house, parsed from JSON.
-      boxes: asset -> its box.
-
     Raises:
       InputError: something in it is missing or invalid.
     """

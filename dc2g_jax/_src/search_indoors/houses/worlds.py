@@ -77,10 +77,6 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
 
     Houses have no textures. Objects have the colors of their classes with random variation. Floors differ by the type
     of room, since kitchens and bathrooms have other floors than bedrooms. All walls look alike.
-
-    Args:
-      world: one house.
-      rng: random number generator of the variation between objects.
     """
     objects = np.append(OBJECT_COLORS[np.asarray(world.object_kinds)], [_WALL], axis=0)
     objects = objects + rng.normal(0, 14, objects.shape)
@@ -93,15 +89,7 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
 
 
 def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
-    """Pad a house below and to the right with outside, so that positions do not change.
-
-    Args:
-      world: one house.
-      rows: rows of the padded grid.
-      columns: columns of the padded grid.
-      rooms: number of rooms after padding, including the outside.
-      objects: number of objects after padding.
-    """
+    """Pad a house to so many rows, columns, rooms (with the outside) and objects. Positions of cells do not change."""
     height, width = world.free.shape
     more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.object_kinds)
 
@@ -122,11 +110,7 @@ def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: 
 
 
 def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
-    """Pad houses to a common size, so that they can be stacked for `jax.vmap` and `jax.lax.map`.
-
-    Args:
-      worlds: at least one house, all with cells of the same size.
-    """
+    """Pad houses with equal cells, one at least, to a common size, so that they can be stacked."""
     shapes = [(*world.free.shape, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
     return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]
 
@@ -145,12 +129,7 @@ def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
 
 
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:
-    """The cells on which a robot has an object of a class within `REACH`, in the room of the object.
-
-    Args:
-      world: one house.
-      goal: class index.
-    """
+    """The cells on which a robot has an object of a class within `REACH`, in the room of the object."""
     cell_size, rooms = float(world.cell_size), np.asarray(world.rooms)
     goals, near = np.asarray(world.goals(goal)), np.zeros(rooms.shape, bool)
     for room in np.unique(rooms[goals]):
@@ -159,13 +138,7 @@ def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:
 
 
 def start_cells(world: IndoorWorld, goal: int, *, distance: float) -> Bool[np.ndarray, "h w"]:
-    """The cells from which a robot can reach an object of a class, at some distance from all objects of the class.
-
-    Args:
-      world: one house.
-      goal: class index.
-      distance: least straight-line distance to the nearest object of the class, meters.
-    """
+    """The cells from which a robot can reach an object of a class, `distance` meters or more from all of the class."""
     cell_size = float(world.cell_size)
     connected = connected_to(approaches(world, goal), world.fits)
     return connected & (_distance_to(np.asarray(world.goals(goal)), cell_size) >= distance)
@@ -177,13 +150,6 @@ def sample_starts(
     """Random starts on `start_cells` of the default robot: x and y in the world, meters, and yaw, radians.
 
     A start is in the center of a cell and has a random yaw. The result is empty, [0 3], if there are no start cells.
-
-    Args:
-      world: one house.
-      goal: class index.
-      count: number of starts.
-      rng: random number generator.
-      distance: least straight-line distance to the nearest object of the class, meters.
     """
     rows, columns = np.nonzero(start_cells(world, goal, distance=distance))
     if not rows.size:

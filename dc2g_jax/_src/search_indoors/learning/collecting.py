@@ -168,11 +168,7 @@ class CollectionConfig:
 
 
 def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
-    """The worlds of the houses that are not too large, padded to one size.
-
-    Args:
-      houses: to choose from.
-      largest: cells along a side.
+    """The worlds of the houses with sides of at most `largest` cells, padded to one size.
 
     Raises:
       InputError: there is none.
@@ -185,11 +181,6 @@ def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
 
 def _random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
     """Rows and columns of random cells in the largest part of a house that a robot can drive about.
-
-    Args:
-      world: one house.
-      count: how many.
-      rng: where chance comes from.
 
     Raises:
       InputError: the robot fits nowhere.
@@ -264,13 +255,7 @@ def collect(
     config: CollectionConfig,
     on_progress: Callable[[int], None] | None = None,
 ) -> JourneySet:
-    """Send robots through houses, on every device at once; the same for the same seed.
-
-    Args:
-      houses: those larger than the configuration allows are left out.
-      encoder: what makes features of what robots see.
-      config: how many samples.
-      on_progress: called with the number of houses that are done.
+    """Send robots through the houses that are not too large, on every device at once; the same for the same seed.
 
     Raises:
       InputError: no house can be used.
@@ -304,13 +289,7 @@ def collect(
 def random_views(
     houses: Sequence[IndoorHouse], count: int, seed: int, largest: int = CollectionConfig.largest
 ) -> CameraView:
-    """Pictures from random places in random directions, to train an encoder on.
-
-    Args:
-      houses: those larger than allowed are left out.
-      count: pictures a house.
-      seed: where chance comes from.
-      largest: cells along the side of the largest house to use.
+    """`count` pictures a house from random places in random directions, to train an encoder on.
 
     Raises:
       InputError: no house can be used.

@@ -128,16 +128,7 @@ def make_sample(
     symmetry: Int[Array, ""],
     normalize: Normalize,
 ) -> Samples:
-    """The inputs of a network at a view of a journey, and the labels for a goal.
-
-    Args:
-      data: the data set.
-      journey: index of the journey.
-      view: index of the view.
-      target: the wanted class, an index into `GOALS`.
-      symmetry: one of `SYMMETRIES`.
-      normalize: function from distances to costs, see `NORMALIZATIONS`.
-    """
+    """The inputs of a network at a view of a journey, and the labels for a goal, in one of `SYMMETRIES`."""
     house, cell = data.house[journey], data.places[journey, view].astype(jnp.int32)
     known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint32(0))
 
@@ -169,12 +160,7 @@ def draw_samples(
 ) -> Samples:
     """A random batch: uniform over views of all journeys, and over the goals that can be reached from each view.
 
-    Args:
-      key: random key.
-      data: the data set.
-      batch_size: number of samples.
-      symmetries: probability of each of `SYMMETRIES`.
-      normalize: function from distances to costs, see `NORMALIZATIONS`.
+    `symmetries` are the probabilities of `SYMMETRIES`.
     """
     journey_key, view_key, goal_key, turn_key = jax.random.split(key, 4)
     journeys, views = data.headings.shape

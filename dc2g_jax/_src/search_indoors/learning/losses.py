@@ -12,12 +12,7 @@ LOSS_WEIGHTS = {"occupancy": 1.0, "cost": 1.5, "direction": 1.0}
 
 
 def occupancy_loss(logits: Float[Array, "h w"], occupied: Bool[Array, "h w"]) -> Float[Array, ""]:
-    """Mean binary cross entropy of occupancy, nats (equation 1).
-
-    Args:
-      logits: predicted log-odds of being occupied.
-      occupied: whether the cells are occupied.
-    """
+    """Mean binary cross entropy of occupancy, nats (equation 1)."""
     return jnp.mean(jax.nn.softplus(logits) - jnp.where(occupied, logits, 0))
 
 
@@ -39,10 +34,6 @@ def gradient(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float
 
     Central differences where both neighbors are navigable, one-sided ones where one is, and 0 where neither is and on
     cells that are not navigable.
-
-    Args:
-      costs: costs, finite on navigable cells.
-      navigable: cells that count.
     """
     values = jnp.where(navigable, costs, 0)
 
@@ -62,11 +53,6 @@ def direction_loss(
     """Sum of 1 - cosine between the gradients on navigable cells, divided by the number of all cells (equation 3).
 
     Cells where the true gradient is 0 have no direction and do not count.
-
-    Args:
-      predicted: navigation cost.
-      true: navigation cost; may be infinite on other cells.
-      navigable: free cells with a path to the goal.
     """
     ours, theirs = gradient(predicted, navigable), gradient(true, navigable)
     length = jnp.sqrt(jnp.sum(theirs**2, axis=0))
@@ -81,13 +67,7 @@ def total_loss(
     occupied: Bool[Array, "h w"],
     cost: Float[Array, "h w"],
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-    """The weighted sum of the three losses (equation 4), and each of them.
-
-    Args:
-      prediction: output of the network.
-      occupied: whether the cells are occupied.
-      cost: true navigation cost, infinite where no path leads to the goal.
-    """
+    """The weighted sum of the three losses (equation 4), and each of them."""
     navigable = ~occupied & jnp.isfinite(cost)
     losses = {
         "occupancy": occupancy_loss(prediction.occupancy_logits, occupied),

@@ -247,16 +247,10 @@ class CostMapEstimator:
         heading: Float[Array, ""],
         image: UInt8[Array, "48 64 3"],
     ) -> Float[Array, "h w"]:
-        """Cost of each cell of the local map relative to the best cell, meters.
+        """Cost of each cell of the local map relative to the best cell, meters, with arguments as in `CostMapNetwork`.
 
         Infinite where a cell is predicted to be occupied. A network trained on shares of the longest path
         (`--recipe paper`) has no scale and is used as if it had that of the others.
-
-        Args:
-          maps: see `CostMapNetwork`, as are target and heading.
-          target: the wanted class.
-          heading: direction of the camera, radians.
-          image: picture of the camera.
         """
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading))
         prediction = apply(self.architecture, self.weights, *one, self.encoder.encode(image[None]))
@@ -265,14 +259,7 @@ class CostMapEstimator:
 
 
 def save_costs(folder: Path, weights: Any, architecture: CostMapArchitecture, card: dict[str, Any]) -> None:
-    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files.
-
-    Args:
-      folder: folder that the encoder was saved to.
-      weights: weights of the network.
-      architecture: architecture of the network.
-      card: further facts about it, as JSON values.
-    """
+    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files."""
     facts = {"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **card}
     write_network(folder / NETWORK_FILE, weights, architecture, facts)
     digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}

@@ -202,13 +202,7 @@ def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> l
 
 
 def figures(weights: Any, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
-    """Losses, and metrics of section III-B in percent, on validation samples.
-
-    Args:
-      weights: weights of the network.
-      batches: samples, see `validation_samples`.
-      config: configuration of its training.
-    """
+    """Losses, and metrics of section III-B in percent, on validation samples."""
     found = [jax.tree.map(np.asarray, _examine(weights, batch, config)) for batch in batches]
     counts = sum(batch["confusion"].astype(np.float64) for batch in found)
     mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}

@@ -113,12 +113,6 @@ def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, setti
     A cell whose floor is in view, without anything that the robot could hit, loses its obstacle and classes. This
     corrects points that were assigned to a neighboring cell.
 
-    Args:
-      indoor_map: the map so far.
-      frame: depth, classes and pose of the camera.
-      intrinsics: intrinsics of the camera.
-      settings: the settings with which the map was made.
-
     Raises:
       InputError: the sizes of frame and intrinsics do not match.
     """
@@ -165,11 +159,6 @@ def _booked(
 
     A surface between two cells belongs to the cell behind it, as seen from the camera. A point is moved only across the
     border nearest to it. If it were moved along its ray, a point at the edge of a wall could pass the wall's end.
-
-    Args:
-      shown: the points, meters.
-      origin: origin of their rays, meters.
-      settings: settings of the map.
     """
     scale = jnp.array([-1, 1], jnp.float32) / settings.cell_size
     place = shown[..., 1::-1] * scale
@@ -207,12 +196,6 @@ def mark_explored(
     """Mark the cells around the robot as explored, whether it has seen them or not.
 
     Obstacles and classes do not change. Cells behind a nearby wall are marked as well.
-
-    Args:
-      indoor_map: the map so far.
-      position: x and y of the robot, meters.
-      radius: radius around the robot, meters.
-      settings: the settings with which the map was made.
     """
     rings = math.ceil(radius / settings.cell_size)
     offsets = jnp.stack(jnp.meshgrid(*2 * (jnp.arange(-rings, rings + 1),), indexing="ij"), axis=-1)
@@ -242,14 +225,7 @@ def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[
 
 
 def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond: float) -> Shaped[Array, "side side"]:
-    """A square of a grid, which may extend beyond it.
-
-    Args:
-      grid: the grid.
-      first: row and column of the square's first cell, on the grid or off it.
-      side: side of the square, cells.
-      beyond: value of cells off the grid.
-    """
+    """The square of a grid from row and column `first` on; cells off the grid have the value `beyond`."""
     height, width = grid.shape
     rows, columns = first[:, None] + jnp.arange(side)
     inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)

@@ -186,14 +186,7 @@ def random_until_seen(key: Key[Array, ""], robot: Searcher, costs: CostOfPose, a
 
 
 def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], agent: Agent) -> Searcher:
-    """The robot at its start, with an empty map.
-
-    Args:
-      key: random key of the search.
-      vehicle: pose and velocities at the start.
-      target: the wanted class, an index into `maps.classes.GOALS`.
-      agent: components of the robot.
-    """
+    """The robot at its start, with an empty map."""
     side = agent.mapping.local
     return Searcher(
         key=key,
@@ -210,14 +203,7 @@ def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], ag
 
 
 def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> _Robot:
-    """Add a camera frame to the map, and ask the guide for new costs.
-
-    Args:
-      robot: the robot.
-      frame: depth, classes and pose of its camera.
-      image: the camera's picture; `None` if the guide does not use it.
-      agent: components of the robot.
-    """
+    """Add a camera frame to the map, and ask the guide for new costs."""
     position, cell_size = robot.vehicle.position, agent.mapping.cell_size
     robot = dataclasses.replace(
         robot,
@@ -256,10 +242,6 @@ def _filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Arra
 
     A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance
     on the other side of a wall has no effect.
-
-    Args:
-      distance: costs of the guide, meters; infinite where the robot must not be.
-      cell_size: edge of a cell, meters.
     """
     known = jnp.isfinite(distance)
     around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")

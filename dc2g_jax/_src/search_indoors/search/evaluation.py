@@ -78,10 +78,6 @@ class SearchResult(NamedTuple):
 def success_region(house: IndoorHouse, target: str) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """The cells of a house where a search for a class succeeds.
 
-    Args:
-      house: the house.
-      target: name of the wanted class.
-
     Returns:
       Distance to drive from each cell to these cells, meters, infinite where no path leads there; and whether a cell is
       one of them.
@@ -104,14 +100,7 @@ def _success_region(goals: Array, walls: Array, free: Array, fits: Array, cell_s
 def results_of(
     agent: str, houses: Sequence[IndoorHouse], episodes: Sequence[Search], searches: Searches
 ) -> list[SearchResult]:
-    """Results of searches.
-
-    Args:
-      agent: name of the agent.
-      houses: houses of the episodes.
-      episodes: the searches.
-      searches: what the robots did.
-    """
+    """Results of the searches of an agent."""
     by_name = {house.name: house for house in houses}
     regions = {key: success_region(by_name[key[0]], key[1]) for key in {(one.house, one.target) for one in episodes}}
     results = []
@@ -180,12 +169,7 @@ class SearchSummary(NamedTuple):
 
 
 def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> SearchSummary:
-    """The means and intervals of some results.
-
-    Args:
-      results: at least one result.
-      resamples: number of bootstrap samples of houses.
-    """
+    """The means and intervals of some results, one at least."""
     columns = dict(zip(SearchResult._fields, zip(*results, strict=True), strict=True))
     mean = {name: float(np.mean(values)) for name, values in columns.items() if not isinstance(values[0], str)}
     success, spl = (
@@ -201,11 +185,6 @@ def difference(
     better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000
 ) -> dict[str, Mean]:
     """Differences of `success` and `spl` between two agents in the same searches, with intervals as in `SearchSummary`.
-
-    Args:
-      better: results of one agent.
-      worse: results of the other agent, in the same order.
-      resamples: number of bootstrap samples of houses.
 
     Raises:
       ValueError: the searches differ.

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.mapping.camera import CameraPose
-from dc2g_jax._src.mapping.noise import PoseDrift, drift_on, drifted, no_drift, noisy_frame
+from dc2g_jax._src.mapping.noise import PoseDrift, drift_on, drifted, noisy_frame
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
@@ -76,13 +76,7 @@ class IndoorRobot(Searcher):
 
 
 def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
-    """The site of a house.
-
-    Args:
-      world: one house.
-      name: name of the house, which seeds its random colors.
-      agent: components of the robots.
-    """
+    """The site of a house, whose random colors depend on its name."""
     return IndoorSite(
         scene=scene(world),
         paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
@@ -94,21 +88,14 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
 def reset(
     key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
 ) -> IndoorRobot:
-    """The robot at its start, with an empty map.
-
-    Args:
-      key: random key of the episode.
-      search: x and y of the start, meters, and yaw, radians; and the wanted class, an index into `maps.classes.GOALS`.
-      agent: components of the robot.
-      limit: largest number of control periods.
-    """
+    """The robot at its start (x and y, meters, and yaw, radians), with an empty map, for `limit` control periods."""
     start, target = search
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
     return IndoorRobot(
         **vars(searcher),
         true=searcher.vehicle,
-        drift=no_drift(),
+        drift=jnp.zeros(3, jnp.float32),
         moved=jnp.float32(0),
         collisions=jnp.int32(0),
         track=track,
@@ -123,8 +110,7 @@ def _camera_of(robot: IndoorRobot) -> CameraPose:
 
 def _estimated(vehicle: VehicleState, drift: PoseDrift) -> VehicleState:
     """The vehicle at its estimated pose."""
-    position = vehicle.position + jnp.stack([drift.x, drift.y])
-    return dataclasses.replace(vehicle, position=position, yaw=vehicle.yaw + drift.yaw)
+    return dataclasses.replace(vehicle, position=vehicle.position + drift[:2], yaw=vehicle.yaw + drift[2])
 
 
 def picture(robot: IndoorRobot, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
