@@ -39,7 +39,7 @@ def judged(house, start, end, *, declared=True, target="plant", steps=10):
 def test_within_a_meter_counts_and_through_a_wall_does_not(house):
     _, there = success_region(house, "plant")
     # The plant's nearest cells have their middles at x = 4.7 and y = -2.7; row 26, column 46 or so.
-    rows, columns = np.nonzero(house.world.goals(GOALS[3]))
+    rows, columns = np.nonzero(house.world.classes == GOALS[3])
     nearest = np.array(
         [[np.hypot(rows - r, columns - c).min() for c in range(there.shape[1])] for r in range(there.shape[0])]
     )

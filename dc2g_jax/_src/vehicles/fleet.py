@@ -16,7 +16,7 @@ from dc2g_jax._src.mapping.scene import scene_from_terrain
 from dc2g_jax._src.mapping.simulator import picture
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.rollout import Episodes
-from dc2g_jax._src.vehicles.drive import ARRIVED, Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
+from dc2g_jax._src.vehicles.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
 from dc2g_jax._src.vehicles.robot import is_driving, run_all
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
@@ -39,11 +39,6 @@ class Drives:
     status: Int[np.ndarray, "episodes"]
     off_ground: Float[np.ndarray, "episodes"]
     touched: Float[np.ndarray, "episodes"]
-
-    @property
-    def success(self) -> Bool[np.ndarray, "episodes"]:
-        """Whether the robot reached a front door."""
-        return self.status == ARRIVED
 
 
 def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:

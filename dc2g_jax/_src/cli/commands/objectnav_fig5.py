@@ -22,7 +22,7 @@ from dc2g_jax._src.figures.search_figures import RecordedSearch, animate_search,
 from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, TARGETS
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import DECLARED
 from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
@@ -66,9 +66,8 @@ def main(options: Options) -> None:
     agent = agent_with(options.agent, network, options.samples, options.noise)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
-    target = OBJECT_CLASSES.index(episode.target)
-    start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
-    first = reset(jax.random.key(options.seed), (start, goal), agent, options.limit)
+    start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), TARGETS.index(episode.target)
+    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 
@@ -78,7 +77,7 @@ def main(options: Options) -> None:
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     every = [moment_of(one, agent, options.agent) for one in begun]
     moments = [every[number] for number in choose_legs(to_goal, _COLUMNS)]
-    search = RecordedSearch(house.world, target, track, every)
+    search = RecordedSearch(house.world, GOALS[goal], track, every)
     plot_search(out / "fig5", dataclasses.replace(search, moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if network is not None:

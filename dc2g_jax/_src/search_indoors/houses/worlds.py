@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int16, UInt8
+from jaxtyping import Bool, Float, Int16, UInt8
 from scipy.ndimage import distance_transform_edt
 
 from dc2g_jax._src.grid.ground import component_numbers, connected_to
@@ -61,10 +61,6 @@ class IndoorWorld:
     def fits(self) -> Bool[np.ndarray, "h w"]:
         """Cells in whose center a robot touches no blocked cell. Space beyond the grid does not count as blocked."""
         return ~inflated(~np.asarray(self.free), ROBOT_RADIUS, float(self.cell_size))
-
-    def goals(self, goal: int | Array) -> Bool[Cells, "h w"]:
-        """The cells whose highest object has this class."""
-        return self.classes == goal
 
 
 def scene(world: IndoorWorld) -> Scene:
@@ -131,7 +127,7 @@ def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:
     """The cells on which a robot has an object of a class within `REACH`, in the room of the object."""
     cell_size, rooms = float(world.cell_size), np.asarray(world.rooms)
-    goals, near = np.asarray(world.goals(goal)), np.zeros(rooms.shape, bool)
+    goals, near = np.asarray(world.classes) == goal, np.zeros(rooms.shape, bool)
     for room in np.unique(rooms[goals]):
         near |= (rooms == room) & (_distance_to(goals & (rooms == room), cell_size) <= REACH)
     return near & world.fits
@@ -141,7 +137,7 @@ def start_cells(world: IndoorWorld, goal: int, *, distance: float) -> Bool[np.nd
     """The cells from which a robot can reach an object of a class, `distance` meters or more from all of the class."""
     cell_size = float(world.cell_size)
     connected = connected_to(approaches(world, goal), world.fits)
-    return connected & (_distance_to(np.asarray(world.goals(goal)), cell_size) >= distance)
+    return connected & (_distance_to(np.asarray(world.classes) == goal, cell_size) >= distance)
 
 
 def sample_starts(

@@ -53,8 +53,8 @@ NO_OBJECT = 0
 #: Class indices of the goals, in the paper's order (section III-C).
 GOALS: tuple[int, ...] = (BED, CHAIR, SINK, PLANT, COUCH)
 
-#: Class index of a goal -> its name, in the same order.
-TARGETS = {goal: OBJECT_CLASSES[goal] for goal in GOALS}
+#: Their names.
+TARGETS = tuple(OBJECT_CLASSES[goal] for goal in GOALS)
 
 #: Room type -> ProcTHOR's name. Index 0 is the outside.
 ROOM_NAMES: tuple[str, ...] = ("outside", "Bedroom", "Bathroom", "Kitchen", "LivingRoom")

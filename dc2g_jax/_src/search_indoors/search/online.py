@@ -48,6 +48,9 @@ class SearchDecision(NamedTuple):
     why: str
 
 
+_look = jit(look)
+
+
 @jit
 def _begin(seed: Int[Array, ""], vehicle: VehicleState, agent: Agent) -> Searcher:
     return begin(jax.random.key(seed), vehicle, jnp.int32(-1), agent)
@@ -59,11 +62,6 @@ def _move(robot: Searcher, vehicle: VehicleState, target: Int[Array, ""], agent:
     arrived = (robot.target == target) & arrives(robot, vehicle.position, agent)
     status = jnp.where(arrived, DECLARED, DRIVING).astype(jnp.int32)
     return dataclasses.replace(robot, vehicle=vehicle, target=target, status=status)
-
-
-@jit
-def _look(robot: Searcher, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> Searcher:
-    return look(robot, frame, image, agent)
 
 
 @jit
@@ -166,10 +164,9 @@ class OnlineSearcher:
           InputError: a value is invalid, a picture that the agent uses is missing, or there is no frame though the
             target is new.
         """
-        targets, agent = list(TARGETS.values()), self.agent
-        if target not in targets:
-            raise InputError(f"target {short(target)}: give one of {', '.join(targets)}")
-        goal = np.int32(targets.index(target))
+        if target not in TARGETS:
+            raise InputError(f"target {short(target)}: give one of {', '.join(TARGETS)}")
+        goal, agent = np.int32(TARGETS.index(target)), self.agent
         if frame is None and int(memory.target) != goal:
             raise InputError(f"target {target!r} is new to the robot, but there is no frame; give one with it")
         memory = _move(memory, _vehicle(pose, speeds), goal, agent)

@@ -22,7 +22,7 @@ from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
-from dc2g_jax._src.search_indoors.maps.classes import TARGETS
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, TARGETS
 from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
 from dc2g_jax._src.search_indoors.search.guides import true_costs, true_distance
 from dc2g_jax._src.vehicles.footprint import Ground
@@ -229,7 +229,10 @@ def sample_episodes(
     episodes: list[Search] = []
     for house in houses:
         rng = np.random.default_rng([seed, *house.name.encode()])
-        starts = {name: sample_starts(house.world, goal, per_house, rng=rng) for goal, name in TARGETS.items()}
+        starts = {
+            name: sample_starts(house.world, goal, per_house, rng=rng)
+            for goal, name in zip(GOALS, TARGETS, strict=True)
+        }
         there = [name for name, drawn in starts.items() if len(drawn)]
         if target is not None and target not in there:
             raise InputError(
@@ -264,9 +267,8 @@ def search_all(
       on_progress: called now and then with the number of episodes that have ended.
     """
     sites, site_numbers = _sites(agent, houses)
-    names = list(TARGETS.values())
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
-    own = starts, np.array([names.index(episode.target) for episode in episodes], np.int32)
+    own = starts, np.array([TARGETS.index(episode.target) for episode in episodes], np.int32)
     where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
     track, status, steps, collisions = run_all(
         at_start, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
