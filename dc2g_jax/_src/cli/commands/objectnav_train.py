@@ -20,9 +20,10 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.weights import write_network
 from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, TrainedEncoder, load_encoder
@@ -66,8 +67,8 @@ class Options(TrainingOptions, Pauses):
       strict: reject a file of houses at its first invalid line, instead of skipping the line.
       validation_houses: number of houses of the validation split.
       collection: samples to collect in the houses.
-      encoder: safetensors file with an image encoder, such as `encoder.safetensors` of another training, which is
-        copied to `out`; by default one is trained first.
+      encoder: image encoder of another training, its `encoder.safetensors`, which is copied to `out`; by default one is
+        trained first.
       encoder_steps: optimizer steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that is better after minutes of training.
       learning_rate: peak learning rate; the recipe's by default.
@@ -206,9 +207,6 @@ def main(options: Options) -> None:
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
     maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
     require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
-    digest = houses_sha256(options.dataset)
-    inputs = {} if digest is None else {"dataset": digest}
-    output_folder(options, "objectnav_train", free=free, inputs=inputs)
     count = 500 if options.count is None and options.dataset == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.dataset}", flush=True)
     read = functools.partial(
@@ -217,6 +215,8 @@ def main(options: Options) -> None:
     houses = read("train", count=count)
     largest = options.validation_houses
     unknown = read("val", count=largest if options.dataset == PROCEDURAL else None)[:largest]
+    inputs = {"dataset": tree_sha256([house.world for house in (*houses, *unknown)])}
+    output_folder(options, "objectnav_train", free=free, inputs=inputs)
     encoder = _open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))

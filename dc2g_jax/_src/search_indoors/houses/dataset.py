@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.ground import component_numbers
 from dc2g_jax._src.procedural.plain import with_door
 from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset
@@ -17,7 +16,7 @@ from dc2g_jax._src.search_indoors.houses.furnishing import furnish
 from dc2g_jax._src.search_indoors.houses.layouts import draw_layout
 from dc2g_jax._src.search_indoors.houses.placing import CHECK_CELLS, Floor, RoomSketch
 from dc2g_jax._src.search_indoors.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
-from dc2g_jax._src.search_indoors.houses.procthor import BOXES_FILE, read_procthor
+from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, inflated
 
@@ -134,19 +133,6 @@ def indoor_house(
         f"--house {name}: {location} has no such house in its split {split}; give one from {houses[0].name} to "
         f"{houses[-1].name}"
     )
-
-
-def houses_sha256(location: str | os.PathLike[str]) -> str | None:
-    """SHA-256 of the files of training and validation houses; `None` for procedural houses, which have none.
-
-    Raises:
-        InputError: the file of a split is missing.
-    """
-    if location == PROCEDURAL:
-        return None
-    files = [_split_file(Path(location), split) for split in ("train", "val")]
-    files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
-    return arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})
 
 
 def _split_file(folder: Path, split: str) -> Path:
