@@ -14,6 +14,7 @@ from dc2g_jax._src.search_indoors.search.agent import (
     DECLARED,
     LIMITS,
     Agent,
+    Searcher,
     look_around_first,
     random_until_seen,
     with_mpc,
@@ -242,10 +243,19 @@ def test_the_promising_frontier_weighs_distance_and_predicted_costs(guided):
     np.testing.assert_allclose(far[31, 30] - far.min(), 2.5, atol=0.1)
 
 
-def test_only_the_privileged_agent_is_told_the_house():
-    house = two_rooms()
-    for guide in (nowhere, nearest_frontier, predicted, promising_frontier, until_seen(true_costs)):
-        assert site_of(house.world, house.name, agent_with(guide)).true_distance is None
+@pytest.mark.parametrize("guide", [nowhere, true_costs])
+def test_only_the_privileged_guide_is_told_the_house_and_none_where_the_robot_is(guide):
+    def spy(robot, image, agent):
+        given.append((type(robot), agent.true_distance))
+        return guide(robot, image, agent)
+
+    given, house = [], two_rooms()
+    agent = agent_with(true_costs if guide is true_costs else spy)
+    site, agent = site_of(house.world, house.name, agent), agent.replace(guide=spy)
+    jax.eval_shape(lambda robot: leg(robot, site, agent), robot_at(2.05, -1.55))
+    ((robot, distance),) = given
+    assert robot is Searcher
+    assert (distance is not None) == (guide is true_costs)
 
 
 def test_what_a_robot_does_not_have_is_refused(site):

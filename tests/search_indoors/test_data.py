@@ -25,6 +25,7 @@ from dc2g_jax._src.search_indoors.learning.data import (
     map_of,
     turned_heading,
 )
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, indoor_camera
 from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
@@ -38,8 +39,11 @@ CONFIG = CollectionConfig(journeys=3, views=20, places=2)
 
 
 @struct.dataclass
-class Quarters:
-    """An encoder: the mean color of each quarter of a picture."""
+class Quarters(TrainedEncoder):
+    """The mean color of each quarter of a picture."""
+
+    weights: None = None
+    architecture: EncoderArchitecture = struct.field(pytree_node=False, default=EncoderArchitecture(features=4))
 
     def encode(self, images):
         return jnp.mean(images.reshape(-1, 2, 24, 2, 32, 3), axis=(2, 4, 5)).reshape(len(images), 4)

@@ -86,23 +86,14 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
 
 def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
     """Pad a house to so many rows, columns, rooms (with the outside) and objects. Positions of cells do not change."""
-    height, width = world.free.shape
-    more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.object_kinds)
+    sizes = {"room_kinds": (rooms,), "object_kinds": (objects,)}
 
-    def filled(leaf: np.ndarray, *lacking: int) -> np.ndarray:
-        after = [*lacking, *(0 for _ in range(leaf.ndim - len(lacking)))]
-        nothing = -1 if leaf.dtype == np.int16 else 0
-        return np.pad(leaf, [(0, size) for size in after], constant_values=nothing)
+    def filled(name: str, leaf: np.ndarray) -> np.ndarray:
+        lacking = [(0, most - size) for most, size in zip(sizes.get(name, (rows, columns)), leaf.shape, strict=True)]
+        return np.pad(leaf, lacking, constant_values=-1 if name == "instances" else 0)
 
-    cells = {
-        name: filled(np.asarray(getattr(world, name)), *more[:2])
-        for name in ("free", "heights", "classes", "instances", "rooms")
-    }
-    return world.replace(  # type: ignore[attr-defined]
-        **cells,
-        room_kinds=filled(np.asarray(world.room_kinds), more[2]),
-        object_kinds=filled(np.asarray(world.object_kinds), more[3]),
-    )
+    leaves = {name: filled(name, leaf) for name, leaf in vars(world).items() if name != "cell_size"}
+    return world.replace(**leaves)  # type: ignore[attr-defined]
 
 
 def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:

@@ -211,7 +211,9 @@ def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, age
         map=with_frame(robot.map, frame, position, agent.camera, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
-    guidance = agent.guide(robot, image, agent)
+    # A simulated robot is more than it knows of itself.
+    known = Searcher(**{field.name: getattr(robot, field.name) for field in dataclasses.fields(Searcher)})
+    guidance = agent.guide(known, image, agent)
     return dataclasses.replace(robot, guidance=guidance, costs=_filled_costs(guidance.distance, cell_size))
 
 
