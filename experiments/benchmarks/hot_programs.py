@@ -32,8 +32,8 @@ from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import Supervised, draw_batches, learn
-from dc2g_jax._src.vehicles import fleet, robot
-from dc2g_jax._src.vehicles.drive import Site, step
+from dc2g_jax._src.vehicles import drive, robot
+from dc2g_jax._src.vehicles.drive import Site
 from dc2g_jax._src.vehicles.robot import Step
 
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
@@ -203,7 +203,7 @@ def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
     own = Pose(each, each, each), _array(n, robots, dtype=jnp.bool_)
-    return _robots_steps(fleet.at_start, 0, step, own, sites, equipped, mesh)
+    return _robots_steps(drive.reset, 0, drive.step, own, sites, equipped, mesh)
 
 
 def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Mesh], HotProgram]]]:

@@ -24,7 +24,7 @@ def explored():
     """A robot that explores the street: every moment of its drive."""
     site = jax.tree.map(lambda leaf: leaf[0], SITES)
     robot = made(Frontier(RULES))
-    first = reset(jax.random.key(0), make_pose(9, 2, 2), site, robot)
+    first = reset(jax.random.key(0), (make_pose(9, 2, 2), False), site, robot)
     return list(fleet.moments(first, site, robot, 120.0))
 
 

@@ -159,15 +159,10 @@ class Robot(SimulatedRobot):
 
 
 def reset(
-    key: Key[Array, ""],
-    start: Pose,
-    site: Site,
-    equipment: Equipment,
-    *,
-    pedestrians: int = 0,
-    knows_map: ArrayLike = False,
+    key: Key[Array, ""], own: tuple[Pose, ArrayLike], site: Site, equipment: Equipment, pedestrians: int = 0
 ) -> Robot:
-    """The robot at its start, with an empty map; or with the whole map, if it knows it beforehand."""
+    """The robot at its start. Its own are its pose, and whether it knows the whole map instead of an empty one."""
+    start, knows_map = own
     key, own_key = jax.random.split(key)
     cell_size = equipment.mapping.cell_size
     here = jnp.stack([start.x, start.y])

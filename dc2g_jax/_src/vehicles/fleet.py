@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.mapping.camera import Frame
 from dc2g_jax._src.mapping.scene import scene_from_terrain
 from dc2g_jax._src.mapping.simulator import picture
@@ -83,20 +82,12 @@ def drive_all(
     """
     own = episodes.start, np.full(len(episodes), knows_map)
     status, *periods = run_all(
-        at_start, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
+        reset, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
         own, episodes.world, sites, equipment, seed=seed, number=pedestrians,
         limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS, on_progress=on_progress,
     )  # fmt: skip
     seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
     return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
-
-
-def at_start(
-    key: Key[Array, ""], own: tuple[Pose, Bool[Array, ""]], site: Site, equipment: Equipment, pedestrians: int
-) -> Robot:
-    """The robot at the start of its episode; its own are the first pose, and whether it knows the map."""
-    start, knows_map = own
-    return reset(key, start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
 
 
 class Moment(NamedTuple):
