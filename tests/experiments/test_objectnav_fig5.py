@@ -24,7 +24,9 @@ def two_rooms_alone(monkeypatch):
 def test_it_searches_and_draws(tmp_path, capsys):
     out = tmp_path / "out"
     main(dataclasses.replace(OPTIONS, out=out))
-    assert {path.name for path in out.iterdir()} == {"fig5.png", "fig5.svg", "fig5.pdf", "search.json", "run.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "fig5.png", "fig5.svg", "fig5.pdf", "search.gif", "search.rrd", "search.json", "run.json"
+    }  # fmt: skip
     assert (out / "fig5.png").stat().st_size > 20_000
     facts = json.loads((out / "search.json").read_text())
     assert (facts["house"], facts["target"], facts["agent"]) == ("two_rooms", "plant", "random")
@@ -52,6 +54,7 @@ def test_an_agent_with_a_network_also_shows_a_prediction(tmp_path):
     [
         ({"dataset": "folder", "house": "val-99"}, ("--house val-99", "val", "give", "two_rooms")),
         ({"house": "val-07"}, ("--house val-07", "val-0", "give")),
+        ({"target": "sofa"}, ("--target sofa", "is no class", "plant, couch")),
         ({"target": "sink"}, ("--target sink", "give", "bed, plant; or another --house")),
         ({"target": "couch"}, ("--target couch", "two_rooms", "give", "bed, plant")),
         ({"limit": 0}, ("--limit 0", "give 1 or more")),

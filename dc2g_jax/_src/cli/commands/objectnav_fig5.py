@@ -7,7 +7,7 @@ wanted class is in the map, next to the truth.
 
 import dataclasses
 import sys
-from typing import Annotated, Literal
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -47,9 +47,7 @@ class Options(SearchOptions, NetworkOptions):
     """
 
     house: HouseOption = None
-    target: Annotated[
-        Literal["bed", "chair", "sink", "plant", "couch"] | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")
-    ] = None
+    target: Annotated[str | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")] = None
     agent: AgentName = "promising"
 
 

@@ -224,8 +224,10 @@ def sample_episodes(
       target: name of the wanted class; by default a random one each, of the classes that can be reached in the house.
 
     Raises:
-      InputError: there is no episode at all, or the target cannot be reached in a house.
+      InputError: there is no episode at all, or the target is no goal class or cannot be reached in a house.
     """
+    if target is not None and target not in TARGETS:
+        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(TARGETS)}")
     episodes: list[Search] = []
     for house in houses:
         rng = np.random.default_rng([seed, *house.name.encode()])
