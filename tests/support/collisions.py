@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax  # noqa: F401 before the change: what libraries compile is theirs
 import orbax.checkpoint  # noqa: F401
@@ -114,6 +115,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
     from dc2g_jax._src.search_indoors.learning import training as indoor_training
+    from dc2g_jax._src.search_indoors.search import guides, searches
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
     from dc2g_jax._src.training.mask_collection import collect_masks
@@ -122,6 +124,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from experiments.benchmarks import workload
     from tests.support import drives, trainings
     from tests.support.houses import DATASET, STREET
+    from tests.support.two_rooms import AGENT, two_rooms
 
     rules = complete_rules(4)
     start = Start("street", 0, 4, 0)
@@ -129,6 +132,8 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     world = World.from_terrain(STREET)
     batch = jax.tree.map(lambda leaf: leaf[..., None], world)
     episodes = episodes_from([start], {"street": 0})
+    house = two_rooms()
+    searched = searches.sample_episodes([house], 1, seed=2)
     environment, params = functional.front_door(DATASET.houses[:1], sensing_range=4, step_limit=60)
     of_params, make_params = with_property(params, "worlds")
     of_indoor, make_indoor = with_property(trainings.journeys(), "headings")
@@ -173,6 +178,17 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         state = indoor_training.first_state(config)
         supervised_step(state, make_indoor(cls), training=config, mesh=mesh_of())
 
+    @struct.dataclass
+    class Level:
+        """Predicts the same costs everywhere, indoors."""
+
+        def estimate(self, maps, target, heading, image):
+            return jnp.zeros(maps.shape[1:])
+
+    def search(estimator: Any) -> None:
+        agent = AGENT.replace(guide=guides.until_seen(guides.predicted), estimator=estimator)
+        searches.search_all(agent, [house], searched, limit=12)
+
     def benchmark(cls: type) -> None:
         one = workload.make_workload(DATASET, per_house=1)
         workload.active_robots(one, cls(rules), rules.sensing, 2)
@@ -215,6 +231,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
             of_estimator,
         ),
         "fleet": (lambda cls: drive(cls(drives.RULES)), of_planner),
+        "searches, estimator": (lambda cls: search(cls()), variants(Level, "estimate")),
         "training": (train, variants(Drawer, "pairs")),
         "sweep": (sweep, variants(Drawer, "pairs")),
         "translator": (translate, variants(Drawer, "pairs")),
