@@ -81,7 +81,7 @@ class RecordedSearch:
     Attributes:
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `search_indoors.search.agent.IndoorRobot`, from step 0 on.
+      track: the robot's track, see `search_indoors.search.searches.IndoorRobot`, from step 0 on.
       moments: moments of the search in order, at least one.
     """
 

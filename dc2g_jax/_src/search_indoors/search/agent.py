@@ -4,7 +4,7 @@ The controller plans ten times a second, and the vehicle executes the first comm
 control periods the robot adds a camera frame to its map and asks its guide (`search.guides`) for new costs
 (`look`). The search ends when the guide leads to an object and at most `STOP` meters of the path are left (`arrives`).
 
-Nothing here knows the true house. `search.simulation` simulates a robot in a house, and
+Nothing here knows the true house. `search.searches` simulates a robot in a house, and
 `search.online` runs on a real one. All functions take one robot.
 """
 

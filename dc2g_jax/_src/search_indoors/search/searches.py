@@ -198,7 +198,7 @@ class Searches:
     """What robots did, in the order of the episodes.
 
     Attributes:
-      track: see `search.simulation.IndoorRobot`.
+      track: see `IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
       collisions: of these, those in which it ran into something.
