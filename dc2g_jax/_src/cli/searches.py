@@ -84,7 +84,7 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
 def compare(
     command: str,
     options: ComparisonOptions,
-    agents: Mapping[str, Callable[[], Agent]],
+    agents: Mapping[str, Agent],
     titles: Mapping[str, str],
     report: Callable[[list[IndoorHouse], dict[str, SearchSummary]], tuple[str, dict[str, Any]]],
     **inputs: Any,
@@ -94,7 +94,7 @@ def compare(
     Args:
       command: name of the command.
       options: its options.
-      agents: name of each row of the table -> what makes its agent; not called if the file has the searches.
+      agents: the agent of each row of the table, by name.
       titles: titles of the rows by name.
       report: makes the table as text, and contents of `results.json`, from the houses and the summary of each row.
       inputs: trees of arrays by option, which must be the same when a run is resumed.
@@ -103,23 +103,18 @@ def compare(
       InputError: a number is below 1, there are not enough houses, or the file holds other searches.
     """
     require_positive(options, "count", "episodes", "samples", "limit", "resamples")
-    houses = indoor_houses(
-        options.dataset,
-        options.split,
-        count=options.count,
-        cell_size=IndoorMapSettings.cell_size,
-        strict=options.strict,
-    )
+    where, cell_size = (options.dataset, options.split), IndoorMapSettings.cell_size
+    houses = indoor_houses(*where, count=options.count, cell_size=cell_size, strict=options.strict)
     episodes = sample_episodes(houses, options.episodes, seed=options.seed)
     given = {"dataset": tree_sha256([house.world for house in houses]), **digests(**inputs)}
     out = output_folder(options, command, inputs=given)
     table, results, progress = ResumableTable(out / "episodes.csv", SearchResult), {}, EpisodeProgress()
-    for name, make in agents.items():
+    for name, agent in agents.items():
         began = time.perf_counter()
 
-        def search(name: str = name, make: Callable[[], Agent] = make) -> list[SearchResult]:
+        def search(name: str = name, agent: Agent = agent) -> list[SearchResult]:
             searches = search_all(
-                make(), houses, episodes, limit=options.limit, seed=options.seed,
+                agent, houses, episodes, limit=options.limit, seed=options.seed,
                 on_progress=lambda finished: progress(name, finished, len(episodes)),
             )  # fmt: skip
             return results_of(name, houses, episodes, searches)

@@ -5,8 +5,6 @@ another simulator, so its figures are shown for orientation only.
 """
 
 import dataclasses
-import functools
-from collections.abc import Callable
 from typing import Any
 
 from dc2g_jax._src.cli.common import command_line
@@ -39,8 +37,8 @@ def main(options: Options) -> None:
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     network = estimator_for(options.agents, options.network)
-    agents: dict[str, Callable[[], Agent]] = {
-        name: functools.partial(agent_with, name, network, options.samples, options.noise) for name in options.agents
+    agents: dict[str, Agent] = {
+        name: agent_with(name, network, options.samples, options.noise) for name in options.agents
     }
 
     def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:

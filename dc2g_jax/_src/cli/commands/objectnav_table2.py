@@ -5,7 +5,6 @@ guides the same searches.
 """
 
 import dataclasses
-import functools
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -83,8 +82,7 @@ def main(options: Options) -> None:
         raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     agents = {
-        name: functools.partial(agent_with, options.agent, network, options.samples, options.noise)
-        for name, network in networks.items()
+        name: agent_with(options.agent, network, options.samples, options.noise) for name, network in networks.items()
     }
 
     def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:
