@@ -286,7 +286,7 @@ def check_frame(frame: Frame, settings: MapSettings) -> None:
     if not (0 <= x <= east and -south <= y <= 0 and z > 0):
         raise InputError(
             f"the camera is at x {x:g}, y {y:g}, z {z:g}, not above the ground of the map, x 0 to {east:g} and y "
-            f"{-south:g} to 0; give meters in the map's frame, whose y is 0 above the first row and whose ground is z = 0"
+            f"{-south:g} to 0; give meters in the map's frame, whose y is 0 above the first row and ground z = 0"
         )
     classes = np.asarray(frame.classes)
     for row, column in np.argwhere(classes >= len(CLASS_NAMES))[:1]:
