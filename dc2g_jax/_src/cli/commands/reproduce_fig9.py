@@ -30,8 +30,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.vehicles.drive import STATUS_NAMES, Equipment, reset
-from dc2g_jax._src.vehicles.fleet import sites_of
-from dc2g_jax._src.vehicles.trace import Moment, moments
+from dc2g_jax._src.vehicles.fleet import Moment, moments, sites_of
 from dc2g_jax._src.viewer.camera_recording import CameraRecording, MappedFrame
 
 #: Number of moments in the figure.
@@ -89,7 +88,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "reproduce_fig9")
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
     pose = make_pose(start.x, start.y, start.heading)
-    first = reset(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
+    first = reset(jax.random.key(options.seed), (pose, False), site, robot, options.pedestrians)
     print("Compiling, half a minute or so; then it drives.", file=sys.stderr)
     drive = list(tqdm(moments(first, site, robot, SECONDS_LIMIT), desc="driving", unit="frame", file=sys.stderr))
     last = drive[-1].robot
