@@ -5,12 +5,13 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from dc2g_jax._src.figures._video import Picture
-from dc2g_jax._src.figures.animation import font, write_animation
+from dc2g_jax._src.figures.animation import write_animation
 from dc2g_jax._src.figures.search_figures import (
     PATH_COLOR,
     ROBOT_COLOR,
@@ -25,6 +26,11 @@ from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 
 #: Pixels: largest width and height of a panel, gap between panels, space above them; length of the robot's arrow.
 _ROOM, _GAP, _CAPTION, _ARROW = (380, 380), 14, 38, 12
+
+
+def _font(name: str) -> ImageFont.FreeTypeFont:
+    """One of matplotlib's fonts."""
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf", 13)
 
 
 def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[Picture]:
@@ -74,8 +80,8 @@ def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[
             on.polygon(corners, fill=ROBOT_COLOR, outline="white")
             paper.paste(image, corner)
             draw.rectangle((corner[0] - 1, corner[1] - 1, corner[0] + width, corner[1] + height), outline="#bbbbbb")
-            draw.text((corner[0], _GAP), name, "black", font("DejaVuSans-Bold"))
-            draw.text((corner[0], _GAP + 17), words, "#666666", font("DejaVuSans"))
+            draw.text((corner[0], _GAP), name, "black", _font("DejaVuSans-Bold"))
+            draw.text((corner[0], _GAP + 17), words, "#666666", _font("DejaVuSans"))
         yield np.asarray(paper)
 
 
