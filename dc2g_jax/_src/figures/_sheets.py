@@ -1,5 +1,6 @@
 """Figures of map panels placed at whole pixels, and outlines of cells."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
 
-from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, whole_pixels
+from dc2g_jax._src.figures.results_figures import PAGE_WIDTH
 
 #: Inches: largest height of a panel; the space left of the panels, between them and between their titles, above them
 #: for a title and for its second line, for the color bars and a line of the legend. And pixels per inch.
@@ -111,7 +112,9 @@ def empty_sheet(
     """
     height, width = shape
     room = (PAGE_WIDTH - _LEFT - columns * _GAP) / columns
-    scale = whole_pixels(min(room / width, _TALLEST / height), dpi)
+    pixels = min(room / width, _TALLEST / height) * dpi
+    # Whole pixels, so that cells look alike; those of less than four cannot be told from others anyway.
+    scale = (math.floor(pixels) if pixels >= 4 else pixels) / dpi
     panel_width, panel_height = scale * width, scale * height
     lines = 1 if max(map(_inches, titles)) + _TITLE_GAP <= panel_width + _GAP else 2
     widest = max(_inches(line) for title in titles for line in _title_lines(title, lines))
@@ -120,8 +123,8 @@ def empty_sheet(
     legend_columns = min(len(entries), int(page_width / _ENTRY))
     foot = _BARS + _LINE * -(-len(entries) // legend_columns)
     row = panel_height + _TITLE + (lines - 1) * _TITLE_LINE
-    pixels = np.ceil(np.array([page_width, rows * row + foot]) * dpi)
-    figure = Figure(figsize=tuple(pixels / dpi), dpi=dpi)
+    page = np.ceil(np.array([page_width, rows * row + foot]) * dpi)
+    figure = Figure(figsize=tuple(page / dpi), dpi=dpi)
     figure.legend(
         handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=legend_columns,
         frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,
