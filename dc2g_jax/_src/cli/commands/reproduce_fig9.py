@@ -21,7 +21,7 @@ from dc2g_jax._src.cli.common import (
 from dc2g_jax._src.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.figures.driving_figures import plot_moments
@@ -98,7 +98,7 @@ def main(options: Options) -> None:
     right = 100 * np.mean((last.terrain == house.terrain)[known])
     print(f"{house.name}: {STATUS_NAMES[int(last.status)]} after {int(last.periods) / 10:.1f} s, {len(drive)} frames")
     print(f"of {np.sum(known):,} cells known in the end, {right:.1f} % are as in the house")
-    print(f"Written to {out}: fig9.png, fig9.svg, fig9.pdf, fig9.rrd (open it with: rerun {out / 'fig9.rrd'})")
+    print_files(out)
 
 
 if __name__ == "__main__":
