@@ -83,7 +83,7 @@ def serve(
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
     app.add_middleware(OwnOriginOnly, token=token, port=port)
     path = f"/?token={token}" if token else "/"
-    print(f"Serving the page at http://127.0.0.1:{port}{path} (Ctrl-C stops it)", flush=True)
+    app.on_startup(lambda: print(f"Serving the page at http://127.0.0.1:{port}{path} (Ctrl-C stops it)", flush=True))
     ui.run(
         lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port,
         show=path if open_browser else False, reload=False,

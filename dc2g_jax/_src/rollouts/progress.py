@@ -21,8 +21,13 @@ class EpisodeProgress:
         if self._bar is None:
             # With 0, the time moves on within a long episode too.
             self._bar = tqdm(
-                total=episodes, desc=f"{planner:>16}", unit="episode", leave=self._leave, miniters=0, file=sys.stderr
-            )
+                total=episodes, desc=f"{planner:>16}", unit="episode", leave=self._leave, miniters=0, file=sys.stderr,
+                postfix="compiling",
+            )  # fmt: skip
+        elif self._bar.postfix:
+            # The estimate of the time left is without the compilation.
+            self._bar.unpause()
+            self._bar.set_postfix_str("")
         self._bar.update(finished - self._bar.n)
         if finished >= episodes:
             self._bar.close()
