@@ -56,6 +56,7 @@ def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypat
     ("words", "meant"),
     [
         (["fig77"], "dc2g fig7?"),
+        (["mapp"], "did you mean dc2g map?"),
         (["map", "exploer"], "did you mean dc2g map explore?"),
         (["map", "--dataset"], "dc2g map check or dc2g map explore"),
         (["xyzzy"], "dc2g --help lists all"),

@@ -14,12 +14,15 @@ def test_a_bar_moves_within_a_long_episode_and_ends_with_the_last(leave, monkeyp
     monkeypatch.setattr("sys.stderr", shown)
     progress = EpisodeProgress(leave=leave)
     progress("dc2g", 0, 2)
+    assert "compiling" in shown.getvalue()
+    shown.truncate(shown.seek(0))
     lengths = []
     for _ in range(2):  # the time moves on, though no episode has ended
         time.sleep(0.12)
         progress("dc2g", 0, 2)
         lengths.append(len(shown.getvalue()))
     assert 0 < lengths[0] < lengths[1]
+    assert "compiling" not in shown.getvalue()
     progress("dc2g", 2, 2)
     assert ("2/2" in shown.getvalue()) == leave
     progress("frontier", 1, 2)

@@ -74,19 +74,17 @@ def named_loss(name: str) -> Loss:
         return LOSSES[name]
     loss = own_part("loss", name, LOSSES)
     shapes = (2, 3, 5), (2, 3, 1), (5,)
+    given = f"arrays of shapes {short(shapes)}"
     remedy = "give a function of estimate, target and levels that returns one number for each estimate"
     try:
         answer = jax.eval_shape(loss, *(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes))
     except Exception as error:  # whatever the user's function raises
         raise InputError(
-            f"loss {name!r}: cannot be called with arrays of shapes {short(shapes)} ({type(error).__name__}: {error}); "
-            f"{remedy}"
+            f"loss {name!r}: cannot be called with {given} ({type(error).__name__}: {error}); {remedy}"
         ) from error
     found = jax.tree.map(lambda leaf: leaf.shape, answer)
     if found != shapes[0]:
-        raise InputError(
-            f"loss {name!r}: answers with shape {short(found)} for arrays of shapes {short(shapes)}; {remedy}"
-        )
+        raise InputError(f"loss {name!r}: answers with shape {short(found)} for {given}; {remedy}")
     return loss
 
 
