@@ -49,6 +49,7 @@ def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypat
     assert ended(monkeypatch, *name.split(), "--help") == 0
     shown = capsys.readouterr().out
     assert f"usage: dc2g {name} " in shown
+    assert not re.search(r"\{None\}\||experiments\.", shown)
     assert "machine" not in re.findall(r"(\w+) options \W", shown)[:-1]
 
 
