@@ -51,7 +51,7 @@ from dc2g_jax._src.search_indoors.learning.networks import (
 )
 from dc2g_jax._src.training.cost_to_go_data import check_masks
 from dc2g_jax._src.training.loop import Log
-from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.tracking import Curve
 from dc2g_jax._src.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
