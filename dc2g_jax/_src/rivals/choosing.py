@@ -91,6 +91,12 @@ def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w 
     return counts
 
 
+def unknown_share(belief: Belief, radius: int) -> Float[Array, "h w *batch"]:
+    """Share of unobserved cells in the square of `2 radius + 1` cells around each cell; none lie off the map."""
+    unknown = bitboard.unpack(frontiers.unseen(belief), belief.width)
+    return in_square(unknown, radius).astype(jnp.float32) / (2 * radius + 1) ** 2
+
+
 def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, "outcomes h w *batch"]:
     """The estimated costs-to-go of every cell, in cells, for an estimator that reads the whole map."""
     return estimator.estimate(observed_terrain(belief), state).astype(jnp.float32)

@@ -107,8 +107,8 @@ def learn(
         new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer)
         finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
         loss = jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
-        state = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
-        return state.replace(step=new.step), loss
+        after = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
+        return after.replace(step=new.step), loss
 
     return _each_run(of_run, state)(state, batch, hyperparameters)
 
