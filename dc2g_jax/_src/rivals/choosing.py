@@ -73,11 +73,6 @@ def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
     return jnp.where(poses.is_empty(preferred), revealing, preferred)
 
 
-def with_batch_axes(values: Any, batch: tuple[int, ...]) -> Array:
-    """An array `[h w]` as `[h w *batch]`, with batch axes of length 1."""
-    return jnp.reshape(values, (*jnp.shape(values), *(1 for _ in batch)))
-
-
 def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w *batch"]:
     """Number of cells of the set in the square of `2 radius + 1` cells around each cell."""
     counts = cells.astype(jnp.int32)
