@@ -43,7 +43,6 @@ from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
     CostMapArchitecture,
-    CostMapEstimator,
     CostMapNetwork,
     load_costs,
     save_costs,
@@ -147,10 +146,9 @@ def write_compact(folder: Path) -> None:
 
 def write_indoor(folder: Path) -> None:
     architecture = CostMapArchitecture(widths=(3, 4), embedding=2, features=3, feature_width=3)
-    estimator = CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture)
     small = EncoderArchitecture((2, 2, 2), features=3)
     write_network(folder / "encoder.safetensors", fresh_weights(SmallEncoder, small, KEY), small, {})
-    save_costs(folder, estimator, {})
+    save_costs(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, {})
 
 
 def write_run(folder: Path) -> None:

@@ -83,13 +83,14 @@ class jit:
 # fmt: off
 #: Primitives that XLA compiles within one operation of a CPU. Others call a library, or have no code there.
 _WITHIN_ONE_OPERATION = frozenset({
-    "abs", "add", "and", "argmax", "argmin", "broadcast_in_dim", "clamp", "closed_call", "concatenate", "cond",
-    "convert_element_type", "copy", "cumsum", "div", "dynamic_slice", "dynamic_update_slice", "eq", "exp", "floor",
-    "gather", "ge", "gt", "integer_pow", "iota", "is_finite", "jit", "le", "log", "lt", "max", "min", "mul", "ne",
-    "neg", "not", "optimization_barrier", "or", "pad", "pjit", "platform_index", "population_count", "reduce_and",
-    "reduce_max", "reduce_min", "reduce_or", "reduce_sum", "rem", "reshape", "rev", "round", "scan", "select_n",
-    "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign", "slice", "sqrt", "square", "squeeze",
-    "stack", "stop_gradient", "sub", "transpose", "while", "xor", "xla_metadata_value",
+    "abs", "add", "and", "argmax", "argmin", "bitcast_convert_type", "broadcast_in_dim", "clamp", "closed_call",
+    "concatenate", "cond", "convert_element_type", "copy", "cumsum", "div", "dynamic_slice", "dynamic_update_slice",
+    "eq", "exp", "floor", "gather", "ge", "gt", "integer_pow", "iota", "is_finite", "jit", "le", "log", "lt", "max",
+    "min", "mul", "ne", "neg", "not", "optimization_barrier", "or", "pad", "pjit", "platform_index",
+    "population_count", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_sum", "rem", "reshape",
+    "rev", "round", "scan", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign",
+    "slice", "sqrt", "square", "squeeze", "stack", "stop_gradient", "sub", "transpose", "while", "xor",
+    "xla_metadata_value",
 })
 # fmt: on
 
@@ -149,11 +150,25 @@ def one_operation(function: Callable[..., _Result], *args: Any) -> _Result:
     150 of them. The whole program must be compiled with `ONE_OPERATION_OPTIONS`.
 
     Args:
-      function: a pure function.
+      function: a pure function. What it captures is as good as an argument.
       *args: its arguments.
     """
-    # XLA ends the process where an operation does not use one of its arguments, so each of them is also a result.
-    program = jax.jit(lambda *args: (function(*args), args))
-    if not is_one_operation(program.trace(*args).jaxpr.jaxpr):
-        return program(*args)[0]  # traced once, for looking at it and for calling it
-    return jax.lax.optimization_barrier(_called(program, program, args, xla_cpu_small_call="true"))[0]
+    leaves: list[Any]
+    tree: Any
+    leaves, tree = jax.tree.flatten(args)
+    trace: Any = jax.make_jaxpr(lambda *leaves: function(*tree.unflatten(leaves)), return_shape=True)
+    closed, shape = trace(*leaves)
+    captured = [number for number, value in enumerate(closed.consts) if isinstance(value, jax.core.Tracer)]
+
+    # XLA ends the process where an operation does not use one of its inputs, so each of them is also a result.
+    @jax.jit
+    def program(*inputs: Any) -> tuple[Any, Any]:
+        given = dict(zip(captured, inputs[len(leaves) :], strict=True))
+        constants = [given.get(number, value) for number, value in enumerate(closed.consts)]
+        results = jax.core.eval_jaxpr(closed.jaxpr, constants, *inputs[: len(leaves)])
+        return jax.tree.unflatten(jax.tree.structure(shape), results), inputs
+
+    inputs = (*leaves, *(closed.consts[number] for number in captured))
+    if not is_one_operation(closed.jaxpr):
+        return program(*inputs)[0]
+    return jax.lax.optimization_barrier(_called(program, program, inputs, xla_cpu_small_call="true"))[0]

@@ -19,9 +19,10 @@ from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
+from dc2g_jax._src.search_indoors.learning.networks import load_costs
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import Agent
-from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.guides import agent_with
 from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.image_pairs import draw_image_pairs, image_set
@@ -170,7 +171,7 @@ def _searches(bench: Bench, robots: int) -> Iterator[Row]:
     houses = indoor_houses(split="val", count=1 if bench.quick else 8, cell_size=IndoorMapSettings.cell_size)
     batches = (1,) if bench.quick else (min(robots, 1024),)
     for name in ("frontier",) if bench.quick else ("frontier", "promising"):
-        searched = functools.partial(_searched, bench, agent_with(name, open_costs(None)), houses)
+        searched = functools.partial(_searched, bench, agent_with(name, load_costs()), houses)
         yield from growing(batches, own("searches", name, "control periods"), searched)
 
 

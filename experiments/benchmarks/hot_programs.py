@@ -22,8 +22,9 @@ from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.devices import AXIS, RUNS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.search_indoors.learning.networks import load_costs
 from dc2g_jax._src.search_indoors.search import searches
-from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.guides import agent_with
 from dc2g_jax._src.search_indoors.search.searches import IndoorSite, leg
 from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
@@ -31,8 +32,8 @@ from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import Supervised, draw_batches, learn
-from dc2g_jax._src.vehicles import fleet, robot
-from dc2g_jax._src.vehicles.drive import Site, step
+from dc2g_jax._src.vehicles import drive, robot
+from dc2g_jax._src.vehicles.drive import Site
 from dc2g_jax._src.vehicles.robot import Step
 
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
@@ -173,34 +174,36 @@ def _scene(houses: int, side: int) -> Scene:
     return Scene(_array(*cells, dtype=jnp.float32), _array(*cells, dtype=jnp.uint8), number, number)
 
 
-def _robots_steps(step: Step, where: Any, sites: Any, components: Any, robots: Any, mesh: Mesh) -> HotProgram:
+def _robots_steps(
+    reset: robot.Reset, number: int, step: Step, own: Any, sites: Any, components: Any, mesh: Mesh
+) -> HotProgram:
+    n, each = jax.tree.leaves(own)[-1].shape
+    where = _array(n, each)
+    begin = functools.partial(robot._at_starts, mesh=mesh, reset=reset, number=number)
+    robots = jax.eval_shape(begin, where, _array(n, each, 2, dtype=jnp.uint32), own, sites, components)
     arguments = (where, sites, components, _array(), robots, _array())
     specs = (_DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
     return HotProgram(robot._go_on, arguments, specs, {"mesh": mesh, "step": step}, where.size, mesh, depth=1)
 
 
 def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
-    agent, houses, side, n = agent_with("promising", open_costs(None)), 8, _INDOOR_CELLS, mesh.size
+    agent, houses, side, n = agent_with("promising", load_costs()), 8, _INDOOR_CELLS, mesh.size
     sites = IndoorSite(
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        guide=None,
+        true_distance=None,
     )
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
-    starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
-    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
-    return _robots_steps(leg, each, sites, agent, state, mesh)
+    own = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
+    return _robots_steps(searches.at_start, searches.TIME_LIMIT, leg, own, sites, agent, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
     equipped, n = equipment("dc2g", network_in_folder(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=fleet.at_start, number=0)
-    episodes, shared = Episodes(each, Pose(each, each, each)), (sites, equipped, _array(dtype=jnp.bool_))
-    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), episodes, shared)
-    return _robots_steps(step, each, sites, equipped, state, mesh)
+    own = Pose(each, each, each), _array(n, robots, dtype=jnp.bool_)
+    return _robots_steps(drive.reset, 0, drive.step, own, sites, equipped, mesh)
 
 
 def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Mesh], HotProgram]]]:

@@ -108,7 +108,7 @@ def test_a_run_is_resumed_with_what_it_has_read(tmp_path):
     output_folder(again, "wander", inputs={"dataset": "1a", "noisy_network": "2b"})
     with pytest.raises(InputError, match=r"what is read for --noisy-network has changed .* give --out another"):
         output_folder(again, "wander", inputs={"dataset": "1a", "noisy_network": "3c"})
-    with pytest.raises(InputError, match="did not note what it read for --starts; give --out another folder"):
+    with pytest.raises(InputError, match="what is read for --starts has changed"):
         output_folder(again, "wander", inputs={"dataset": "1a", "noisy_network": "2b", "starts": "4d"})
     assert len(json.loads((tmp_path / "run" / "run.json").read_text())["runs"]) == 2
 

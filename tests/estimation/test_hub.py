@@ -120,7 +120,7 @@ def test_an_indoor_network_travels_with_its_encoder(hub):
     from dc2g_jax._src.search_indoors.learning.networks import load_costs
 
     dc2g.estimation.push(INDOORS, "hf://someone/indoors")
-    (costs, _), (own, _) = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)
+    costs, own = load_costs("hf://someone/indoors"), load_costs(INDOORS)
     jax.tree.map(np.testing.assert_array_equal, costs.weights, own.weights)
 
 

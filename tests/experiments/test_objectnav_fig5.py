@@ -24,7 +24,9 @@ def two_rooms_alone(monkeypatch):
 def test_it_searches_and_draws(tmp_path, capsys):
     out = tmp_path / "out"
     main(dataclasses.replace(OPTIONS, out=out))
-    assert {path.name for path in out.iterdir()} == {"fig5.png", "fig5.svg", "fig5.pdf", "search.json", "run.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "fig5.png", "fig5.svg", "fig5.pdf", "search.gif", "search.rrd", "search.json", "run.json"
+    }  # fmt: skip
     assert (out / "fig5.png").stat().st_size > 20_000
     facts = json.loads((out / "search.json").read_text())
     assert (facts["house"], facts["target"], facts["agent"]) == ("two_rooms", "plant", "random")

@@ -16,7 +16,6 @@ from dc2g_jax._src.search_indoors.learning.networks import (
     ABLATIONS,
     ENCODER_FILE,
     CostMapArchitecture,
-    CostMapEstimator,
     CostMapNetwork,
     save_costs,
 )
@@ -38,7 +37,7 @@ def folders(tmp_path):
         small = EncoderArchitecture((4, 5, 6), features=7)
         write_network(folder / ENCODER_FILE, fresh_weights(SmallEncoder, small, KEY), small, {})
         architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
-        save_costs(folder, CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture), {})
+        save_costs(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, {})
         made.append(folder)
     return tuple(made)
 
@@ -70,7 +69,7 @@ def test_it_compares_what_networks_are_shown(options, capsys):
     assert set(facts["differences"]) == {"semantic"}
 
     weights = fresh_weights(CostMapNetwork, SMALL, jax.random.key(1))
-    save_costs(options.networks[1], CostMapEstimator(weights, SMALL), {})
+    save_costs(options.networks[1], weights, SMALL, {})
     again = dataclasses.replace(options, resume=True)
     refusal(lambda: main(again), options.out, "--networks", "has changed")
 

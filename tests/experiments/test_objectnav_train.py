@@ -9,8 +9,6 @@ import pytest
 
 from dc2g_jax._src.cli.commands import objectnav_train
 from dc2g_jax._src.cli.commands.objectnav_train import Options, main
-from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.search_indoors.houses.dataset import houses_sha256
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.learning.networks import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
@@ -30,7 +28,7 @@ def options(tmp_path, monkeypatch):
 def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was(options, capsys):
     main(options)
     assert "Training on 4 samples of 1 houses" in capsys.readouterr().out
-    estimator, _ = load_costs(options.out)
+    estimator = load_costs(options.out)
     assert estimator.architecture.widths == (4, 4)
     card = json.loads((options.out / "network.json").read_text())
     assert card["validation"]["step"] == 2
@@ -65,16 +63,11 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "--widths 4", "at least two")
 
 
-def test_a_run_is_resumed_with_the_houses_that_it_was_begun_with(options, tmp_path):
-    houses = tmp_path / "houses"
-    houses.mkdir()
-    for name in ("train.jsonl", "val.jsonl.gz", "test.jsonl", "asset_boxes.json"):
-        (houses / name).write_text(name)
-    assert houses_sha256(options.dataset) is None
-    begun = dataclasses.replace(options, dataset=str(houses))
-    digest = houses_sha256(begun.dataset)
-    output_folder(begun, "objectnav_train", inputs={"dataset": digest})
-    (houses / "test.jsonl").write_text("others")
-    assert houses_sha256(begun.dataset) == digest
-    (houses / "train.jsonl").write_text("others")
-    refusal(lambda: main(dataclasses.replace(begun, resume=True)), options.out, "--dataset", "has changed")
+def test_a_run_is_resumed_with_the_houses_that_it_was_begun_with(options, monkeypatch):
+    monkeypatch.setattr(objectnav_train, "_open_encoder", lambda options, houses: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(options)
+    other = two_rooms()
+    other.world.heights[0, 0] += 1
+    monkeypatch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [other])
+    refusal(lambda: main(dataclasses.replace(options, resume=True)), options.out, "--dataset", "has changed")

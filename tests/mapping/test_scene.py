@@ -6,7 +6,6 @@ from hypothesis import given, strategies as st
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, TRAVERSABLE
 from dc2g_jax._src.mapping.scene import LEAF_HEIGHT, SHAPES, TILES, Scene, scene_from_heights, scene_from_terrain
 from tests.support.maps import drawn, random_cells, random_terrain, seeds
-from tests.support.refusals import refusal
 
 FRONT_DOOR, GRASS = CLASS_NAMES.index("front_door"), CLASS_NAMES.index("grass")
 MIDDLE = TILES // 2
@@ -113,13 +112,3 @@ def test_scenes_can_be_stacked():
         assert scene.field.shape == scene.classes.shape == (10, 10)
         assert scene.field.dtype == scene.tile_size.dtype == scene.ceiling.dtype == jnp.float32
         assert float(scene.tile_size) == pytest.approx(size)
-
-
-@pytest.mark.parametrize("cell_size", [0.0, -1.0, float("nan"), float("inf")])
-def test_cells_without_size_are_refused(cell_size):
-    refusal(lambda: scene_from_terrain(drawn("R"), cell_size), cell_size, "meters")
-
-
-def test_what_is_no_map_is_refused():
-    refusal(lambda: scene_from_terrain(np.full((2, 2), 16, np.uint8)), 16, "0 to 15")
-    refusal(lambda: scene_from_terrain(np.zeros((0, 3), np.uint8)), "no cells")

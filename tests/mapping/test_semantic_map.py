@@ -306,23 +306,6 @@ def test_memory_of_a_map():
     assert MapSettings(rows=1, columns=1, cell_size=1.0).levels * 0.25 == 4.0
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("rows", 0),
-        ("columns", -3),
-        ("levels", 2.5),
-        ("cell_size", 0.0),
-        ("level_height", -1.0),
-        ("reach", np.inf),
-        ("inset", -0.1),
-        ("clearance", np.nan),
-    ],
-)
-def test_settings_that_make_no_map_are_refused(name, value):
-    refusal(lambda: empty_map(SETTINGS.replace(**{name: value})), name, value)
-
-
 def test_maps_of_too_many_voxels_are_refused():
     refusal(lambda: empty_map(SETTINGS.replace(rows=30_000, columns=30_000)), (6, 30_000, 30_000), "fewer")
 

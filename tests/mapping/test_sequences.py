@@ -10,9 +10,7 @@ import pytest
 from PIL import Image
 
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, HOUSE, ROAD
-from dc2g_jax._src.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax._src.mapping.camera import CameraPose, Frame
-from dc2g_jax._src.mapping.checks import check_frame
 from dc2g_jax._src.mapping.sequences import (
     ImageSequence,
     Shot,
@@ -23,7 +21,7 @@ from dc2g_jax._src.mapping.sequences import (
     read_sequence,
     write_sequence,
 )
-from tests.support.frames import CAMERA, SETTINGS, random_frame
+from tests.support.frames import CAMERA, random_frame
 from tests.support.refusals import refusal
 
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -70,7 +68,6 @@ def test_what_is_nearest_in_time_belongs_together(recording):
     assert [float(moment.pose.position[0]) for moment in sequence.moments] == pytest.approx([1.002, 2.015])
     assert [moment.classes.name for moment in sequence.moments] == ["c 0.png", "c 1.png"]
     assert [read_picture(moment) for moment in sequence.moments] == [b"anything", None]
-    assert len(read_sequence(recording, tolerance=0.1).moments) == 3
     assert [float(getattr(sequence.intrinsics, name)) for name in ("focal_x", "focal_y", "center_x", "center_y")] == (
         pytest.approx([19, 23, 14.3, 8.9])
     )
@@ -90,9 +87,9 @@ def test_depth_has_5000_steps_a_meter(recording):
 def test_written_recordings_come_back(tmp_path):
     rng = np.random.default_rng(0)
     shots = [Shot(random_frame(rng), rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)) for _ in range(3)]
-    sequence = read_sequence(write_sequence(tmp_path / "new" / "folder", CAMERA, iter(shots), rate=5.0))
+    sequence = read_sequence(write_sequence(tmp_path / "new" / "folder", CAMERA, iter(shots)))
     assert sequence.skipped == 0
-    assert [moment.time for moment in sequence.moments] == pytest.approx([0, 0.2, 0.4])
+    assert [moment.time for moment in sequence.moments] == pytest.approx([0, 0.1, 0.2])
     for name in ("focal_x", "focal_y", "center_x", "center_y", "height", "width"):
         assert getattr(sequence.intrinsics, name) == getattr(CAMERA, name)
     for (frame, picture), moment, found in zip(shots, sequence.moments, frames(sequence), strict=True):
@@ -105,7 +102,6 @@ def test_written_recordings_come_back(tmp_path):
         np.testing.assert_allclose(found.pose.position, frame.pose.position, rtol=1e-6)
         np.testing.assert_allclose(found.pose.rotation, frame.pose.rotation, atol=2e-6)
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(read_picture(moment)))), picture)
-        check_frame(dataclasses.replace(found, classes=np.minimum(found.classes, 15)), sequence.intrinsics, SETTINGS)
 
 
 def test_a_writer_that_stops_leaves_what_it_has_written(tmp_path):
@@ -122,12 +118,6 @@ def test_a_writer_that_stops_leaves_what_it_has_written(tmp_path):
     assert len(sequence.moments) == 2
     assert read_picture(sequence.moments[0]) is None
     refusal(lambda: write_sequence(tmp_path / "out", CAMERA, []), tmp_path / "out", "not an empty folder")
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, 1e7, math.nan])
-def test_a_rate_that_gives_no_times_is_refused_before_anything_is_written(tmp_path, rate):
-    refusal(lambda: write_sequence(tmp_path / "out", CAMERA, [], rate=rate), rate, "give a number above 0")
-    assert not (tmp_path / "out").exists()
 
 
 def test_images_of_another_camera_are_not_written(tmp_path):
@@ -242,7 +232,8 @@ def test_the_map_covers_all_within_reach_of_the_way(tmp_path):
         )
 
 
-def test_quaternions_are_rotations_by_an_angle_about_an_axis():
+def test_poses_turn_by_an_angle_about_an_axis(recording):
+    """Quaternions of any length, x, y, z, w."""
     rng = np.random.default_rng(3)
     axes = [*rng.normal(size=(20, 3)), *np.eye(3), *np.eye(3)]
     angles = [*rng.uniform(-3, 3, 20), *[np.pi] * 3, *[0.0] * 3]
@@ -250,14 +241,12 @@ def test_quaternions_are_rotations_by_an_angle_about_an_axis():
         x, y, z = unit = axis / np.linalg.norm(axis)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         turn = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross  # Rodrigues
-        quaternion = np.array([*math.sin(angle / 2) * unit, math.cos(angle / 2)])
-        np.testing.assert_allclose(rotation_from_quaternion(-2.5 * quaternion), turn, atol=1e-12)
-        found = quaternion_from_rotation(turn)
-        assert found[3] >= 0
-        np.testing.assert_allclose(abs(found @ quaternion), 1, atol=1e-12)
-        np.testing.assert_allclose(np.linalg.norm(found), 1, atol=1e-12)
-    for wrong in ([0.0, 0, np.nan, 1], [0.0, 0, 0, 0], [0.0, 0, np.inf, 1]):
-        refusal(lambda wrong=wrong: rotation_from_quaternion(np.array(wrong)), "length")
+        quaternion = -2.5 * np.array([*math.sin(angle / 2) * unit, math.cos(angle / 2)])
+        (recording / "groundtruth.txt").write_text(f"1 0 0 1 {' '.join(map(str, quaternion))}\n")
+        np.testing.assert_allclose(read_sequence(recording).moments[0].pose.rotation, turn, atol=1e-6)
+    for wrong in ("0 0 0 0", "1e-9 0 0 0", "1e200 1e200 1e200 0"):
+        (recording / "groundtruth.txt").write_text(f"1 0 0 1 {wrong}\n")
+        refusal(lambda: read_sequence(recording), "groundtruth.txt", "line 1")
 
 
 def test_frames_of_a_recording_are_those_of_its_camera(recording):

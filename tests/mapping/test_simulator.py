@@ -13,11 +13,12 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, GRASS, HOUSE, ROAD
 from dc2g_jax._src.mapping import simulator
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
 from dc2g_jax._src.mapping.scene import TILES, Scene, scene_from_heights, scene_from_terrain
-from dc2g_jax._src.mapping.simulator import CAMERA_RANGE, FIELD_OF_VIEW, IMAGE_SIZE, picture, render, robot_camera
+from dc2g_jax._src.mapping.simulator import CAMERA_RANGE, FIELD_OF_VIEW, picture, render, robot_camera
 from tests.oracles.raycast_oracle import Met, nearest_boxes
 from tests.support.maps import random_terrain
 
 SMALL = intrinsics(90, 24, 32)
+IMAGE_SIZE = (120, 160)
 USUAL = intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE)
 TILE = 0.5
 

@@ -13,7 +13,7 @@ from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.grid.streets import in_town, is_town
 from dc2g_jax._src.grid.terrain import GRASS, ROAD
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
+from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed, GuaranteedState
 from dc2g_jax._src.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
@@ -164,7 +164,7 @@ def test_only_maps_larger_than_those_of_its_network_can_be_towns():
         network = random_network(Architecture(widths=(4, 4), side=side))
         planner = CautiousDC2G(network, COMPLETE, magnifies=True)
         extent = planner._extent(belief)
-        assert planner._is_bounded(belief) == (side < 60)
+        assert isinstance(planner.init(belief), GuaranteedState) == (side < 60)
         if side < 60:
             assert (extent.side, extent.prior) == (40, 40.0)
         else:

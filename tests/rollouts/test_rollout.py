@@ -1,15 +1,19 @@
 """Many episodes at once give what each gives alone, whatever the slots and the order."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.poses import LEFT_ACTION, make_pose
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
+from dc2g_jax._src.planning.guarantee import Guaranteed
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle, asks
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.planning.selection import QuantileCost
 from dc2g_jax._src.rollouts import devices, rollout as rollout_module
@@ -186,6 +190,41 @@ def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     for number in range(0, N_EPISODES, 7):
         alone = run(terrains, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], episodes), planner)
         assert_equal(alone, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], together))
+
+
+@pytest.mark.parametrize(
+    "planner",
+    [
+        network_planner(0),
+        Guaranteed(network_planner(0), RULES, factor=1.5, slack=0.5),
+        Guaranteed(Frontier(RULES), RULES, factor=2.0, slack=1.0),
+    ],
+    ids=["DC2G", "bounded", "asks nothing"],
+)
+def test_robots_that_ask_together_do_what_they_do_side_by_side(terrains, monkeypatch, planner):
+    assert asks(planner)
+    episodes = some_episodes(terrains, 5)
+    one_after_another = run(terrains, episodes, planner, slots=9)
+    monkeypatch.setattr(rollout_module, "platform", lambda mesh: "gpu")
+    assert_equal(run(terrains, episodes, planner, slots=11), one_after_another)
+
+
+@struct.dataclass
+class Turning(DC2G):
+    """Turns to the left, whatever DC2G decides."""
+
+    def plan(self, belief, state):
+        plan, state = super().plan(belief, state)
+        return dataclasses.replace(plan, action=jnp.full_like(plan.action, LEFT_ACTION)), state
+
+
+def test_a_planner_with_a_plan_of_its_own_follows_it(terrains):
+    inherited = network_planner(0)
+    planner = Turning(inherited.estimator, RULES, inherited.selection)
+    done = run(terrains, some_episodes(terrains, 6, count=3), planner, slots=3, step_limit=5)
+    assert not asks(planner)
+    assert (done.steps > 0).all()
+    assert np.isin(done.actions, [LEFT_ACTION, NO_ACTION]).all()
 
 
 @pytest.mark.slow

@@ -13,20 +13,19 @@ from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE
 from dc2g_jax._src.search_indoors.search.agent import (
     DECLARED,
     LIMITS,
-    MPC,
     Agent,
-    LookAround,
-    RandomUntilSeen,
-    observed,
+    Searcher,
+    look_around_first,
+    random_until_seen,
+    with_mpc,
 )
 from dc2g_jax._src.search_indoors.search.guides import (
-    GoalReacher,
-    NearestFrontier,
-    NullGuide,
-    Predicted,
-    PredictedCosts,
-    PromisingFrontier,
-    TrueCost,
+    nearest_frontier,
+    nowhere,
+    predicted,
+    promising_frontier,
+    true_costs,
+    until_seen,
 )
 from dc2g_jax._src.search_indoors.search.searches import is_active, leg, picture, reset, site_of
 from dc2g_jax._src.vehicles.footprint import Ground
@@ -43,40 +42,41 @@ KEY = jax.random.key(0)
 
 @pytest.fixture(scope="module")
 def site():
-    """The house, and the guide that knows it."""
-    return site_of(two_rooms().world, two_rooms().name, agent_with(TrueCost()))
+    """The house, and the distances in it."""
+    return site_of(two_rooms().world, two_rooms().name, agent_with(true_costs))
 
 
-def agent_with(guide, steering=None):
+def agent_with(guide=nowhere, **parts):
     """An agent whose map and images are small."""
     return Agent(
         guide=guide,
-        steering=steering or MPC(),
+        steering=with_mpc,
         camera=intrinsics(90.0, 30, 40),
         mapping=IndoorMapSettings(cells=120, local=60),
         controller=MPPISettings(limits=LIMITS, samples=32, horizon=30),
+        **parts,
     )
 
 
-def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
+def robot_at(x, y, yaw=0.0):
     start = jnp.array([x, y, yaw], jnp.float32)
-    return reset(KEY, (start, jnp.int32(target)), agent_with(guide or NullGuide()), LIMIT)
+    return reset(KEY, (start, jnp.int32(PLANT_TARGET)), agent_with(), LIMIT)
 
 
 def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):
     # From the far end of the bedroom to the plant: through the door.
     row, column = 28, 6
-    assert 3.5 < float(site.guide.distance[PLANT_TARGET, row, column]) < 5.5
-    assert float(site.guide.distance[BED_TARGET, row, column]) < 1
-    assert np.isinf(np.asarray(site.guide.distance)[:, ~np.asarray(site.free)]).all()
+    assert 3.5 < float(site.true_distance[PLANT_TARGET, row, column]) < 5.5
+    assert float(site.true_distance[BED_TARGET, row, column]) < 1
+    assert np.isinf(np.asarray(site.true_distance)[:, ~np.asarray(site.free)]).all()
     # There is no couch.
-    assert np.isinf(np.asarray(site.guide.distance)[GOALS.index(5)]).all()
+    assert np.isinf(np.asarray(site.true_distance)[GOALS.index(5)]).all()
 
 
 @pytest.fixture(scope="module")
 def journey(site):
     """A robot that knows the costs, sent from the bed's side to the plant, facing away."""
-    agent = agent_with(TrueCost())
+    agent = agent_with(true_costs)
     drive_on = jax.jit(lambda robot: leg(robot, site, agent))
     robots = [robot_at(0.6, -2.9, 3.0)]
     while bool(is_active(robots[-1])):
@@ -90,7 +90,7 @@ def test_a_robot_with_true_costs_reaches_the_object(journey, site):
     assert int(last.status) == DECLARED
     assert 40 < steps < LIMIT
     track = np.asarray(last.track)
-    shortest = float(site.guide.distance[PLANT_TARGET, 29, 6])
+    shortest = float(site.true_distance[PLANT_TARGET, 29, 6])
     assert np.hypot(*np.diff(track[:, :2], axis=0).T).sum() < 1.25 * shortest
     # The plant's cells have their middles from x = 4.7 to 5.0 and y = -2.7 to -3.0.
     off = np.maximum(np.abs(track[steps, :2] - (4.85, -2.85)) - 0.2, 0)
@@ -154,18 +154,19 @@ def with_cells(robot, **channels):
 
 @pytest.fixture
 def guided(site):
-    def guide_one(robot, guide):
-        """What the guide says that is given a picture only if it asks for one, and nothing of the house."""
-        image = picture(robot, site) if guide.uses_image else None
-        return guide.guide(KEY, observed(robot, image), agent_with(guide))
+    def guide_one(robot, guide, estimator=None):
+        """What the guide says that is given a picture only if it follows predicted costs, and nothing of the house."""
+        image = picture(robot, site) if estimator else None
+        return guide(robot, image, agent_with(guide, estimator=estimator))
 
     return guide_one
 
 
 def test_the_true_costs_lie_around_the_robot(site):
     robot = robot_at(2.05, -1.55)
-    distance = np.asarray(site.guide.guide(KEY, observed(robot, None), agent_with(TrueCost())).distance)
-    world = np.asarray(site.guide.distance[PLANT_TARGET])
+    agent = agent_with(true_costs, true_distance=site.true_distance)
+    distance = np.asarray(true_costs(robot, None, agent).distance)
+    world = np.asarray(site.true_distance[PLANT_TARGET])
     # The robot is in row 15 and column 20; the local map begins 30 cells before.
     np.testing.assert_array_equal(distance[15 : 15 + world.shape[0], 10 : 10 + world.shape[1]], world[:45, :50])
     assert np.isinf(distance[:15]).all()
@@ -174,16 +175,16 @@ def test_the_true_costs_lie_around_the_robot(site):
 def test_the_goal_reacher_takes_over_when_the_target_is_seen(guided):
     robot = robot_at(2.05, -1.55)
     floor = [((10, 30), (5, 40))]
-    blind = guided(with_cells(robot, floor=floor), GoalReacher(NullGuide()))
+    blind = guided(with_cells(robot, floor=floor), until_seen(nowhere))
     assert not bool(blind.to_goal)
-    seen = guided(with_cells(robot, floor=floor, plant=[((15, 18), (36, 39))]), GoalReacher(NullGuide()))
+    seen = guided(with_cells(robot, floor=floor, plant=[((15, 18), (36, 39))]), until_seen(nowhere))
     assert bool(seen.to_goal)
     # 16 cells to the plant, less an arm's length.
     np.testing.assert_allclose(seen.distance[30, 30], 0.9, atol=0.11)
-    speck = guided(with_cells(robot, floor=floor, plant=[((15, 16), (36, 38))]), GoalReacher(NullGuide()))
+    speck = guided(with_cells(robot, floor=floor, plant=[((15, 16), (36, 38))]), until_seen(nowhere))
     assert not bool(speck.to_goal)
     enclosed = [((0, 60), (32, 33)), ((0, 60), (0, 1)), ((0, 1), (0, 33)), ((59, 60), (0, 33))]
-    lost = guided(with_cells(robot, floor=floor, plant=[((15, 18), (43, 46))], wall=enclosed), GoalReacher(NullGuide()))
+    lost = guided(with_cells(robot, floor=floor, plant=[((15, 18), (43, 46))], wall=enclosed), until_seen(nowhere))
     assert not bool(lost.to_goal)
 
 
@@ -192,7 +193,7 @@ def test_the_frontier_is_the_nearest_floor_that_has_not_been_seen(guided):
     # A room without a gap but for the right end of a corridor.
     walls = [((9, 10), (5, 29)), ((24, 25), (5, 29)), ((9, 25), (4, 5)), ((9, 13), (28, 29)), ((20, 25), (28, 29))]
     known = with_cells(robot, floor=[((10, 24), (5, 30))], wall=walls)
-    found = guided(known, NearestFrontier())
+    found = guided(known, nearest_frontier)
     assert not bool(found.to_goal)
     distance = np.asarray(found.distance)
     # Row 16 of the world is row 31 here; column 30 is the first that has not been seen.
@@ -201,41 +202,26 @@ def test_the_frontier_is_the_nearest_floor_that_has_not_been_seen(guided):
     # Nothing is left nearby, but 45 cells further on.
     far = with_cells(robot, floor=[((10, 24), (5, 30)), ((13, 20), (30, 66))], wall=[*walls, ((12, 13), (28, 67)),
                      ((20, 21), (28, 67))])  # fmt: skip
-    np.testing.assert_allclose(np.asarray(guided(far, NearestFrontier()).distance)[31, 30], 4.6, atol=0.2)
+    np.testing.assert_allclose(np.asarray(guided(far, nearest_frontier).distance)[31, 30], 4.6, atol=0.2)
     closed = with_cells(robot, floor=[((10, 24), (5, 28))], wall=[*walls, ((9, 25), (28, 29))])
-    assert np.isinf(np.asarray(guided(closed, NearestFrontier()).distance)).all()
+    assert np.isinf(np.asarray(guided(closed, nearest_frontier).distance)).all()
 
 
-class Flat:
-    """Predicts the same cost everywhere, and that the last column is occupied."""
+class Slope:
+    """Predicts that costs fall by so many meters a meter to the east, and that the last column is occupied."""
 
-    def estimate(self, maps, target, features, heading):
+    def __init__(self, fall):
+        self.fall = fall
+
+    def estimate(self, maps, target, heading, image):
         assert maps.shape == (36, 60, 60)
-        assert features.shape == (3,)
-        cost = 0.1 * target + 0.01 * heading + jnp.zeros((60, 60))
-        return jnp.zeros((60, 60)).at[:, -1].set(0.9), cost
-
-
-class Eastward(Flat):
-    """Predicts that costs fall by a meter a meter to the east."""
-
-    def estimate(self, maps, target, features, heading):
-        occupied, cost = super().estimate(maps, target, features, heading)
-        return occupied, cost - 0.01 * jnp.arange(60)
-
-
-class Mean:
-    """The mean of each color."""
-
-    size = 3
-
-    def encode(self, images):
-        return jnp.mean(images, axis=(1, 2))
+        assert image.shape == (48, 64, 3)
+        return (self.fall * 0.1 * (58.0 - jnp.arange(60)) + jnp.zeros((60, 60))).at[:, -1].set(jnp.inf)
 
 
 def test_predicted_costs_do_not_lead_through_what_has_been_seen(guided):
     robot = with_cells(robot_at(2.05, -1.55, yaw=1.0), wall=[((9, 10), (5, 29))])
-    distance = np.asarray(guided(robot, Predicted(PredictedCosts(Eastward(), Mean()))).distance)
+    distance = np.asarray(guided(robot, predicted, Slope(1)).distance)
     # The best cell that is not predicted to be occupied, in the last column but one, costs nothing.
     np.testing.assert_allclose(distance[40], [*(0.1 * (58 - np.arange(59))), np.inf], atol=1e-5)
     assert np.isinf(distance[:, -1]).all()
@@ -248,45 +234,52 @@ def test_the_promising_frontier_weighs_distance_and_predicted_costs(guided):
     # A corridor, open 1.3 m to the west of the robot and 2.4 m to the east of it.
     walls = [((12, 13), (6, 46)), ((20, 21), (6, 46))]
     robot = with_cells(robot_at(2.05, -1.55), floor=[((13, 20), (7, 45))], wall=walls)
-    near = np.asarray(guided(robot, PromisingFrontier(PredictedCosts(Flat(), Mean()))).distance)
-    far = np.asarray(guided(robot, PromisingFrontier(PredictedCosts(Eastward(), Mean()))).distance)
-    np.testing.assert_allclose(near, np.asarray(guided(robot, NearestFrontier()).distance))
+    near = np.asarray(guided(robot, promising_frontier, Slope(0)).distance)
+    far = np.asarray(guided(robot, promising_frontier, Slope(1)).distance)
+    np.testing.assert_allclose(near, np.asarray(guided(robot, nearest_frontier).distance))
     # Row 16, column 20 of the world are row 31, column 30 here: one falls to the west, the other to the east.
     assert near[31, 28] < near[31, 30] < near[31, 32]
     assert far[31, 28] > far[31, 30] > far[31, 32]
     np.testing.assert_allclose(far[31, 30] - far.min(), 2.5, atol=0.1)
 
 
-def test_only_the_privileged_guide_is_told_the_house():
-    costs, world = PredictedCosts(Flat(), Mean()), two_rooms().world
-    for guide in (NullGuide(), NearestFrontier(), Predicted(costs), PromisingFrontier(costs)):
-        assert guide.of_house(world, 0.2) is GoalReacher(guide).of_house(world, 0.2) is None
-        assert GoalReacher(guide).uses_image == guide.uses_image == hasattr(guide, "costs")
-    assert GoalReacher(TrueCost()).of_house(world, 0.2) is None
+@pytest.mark.parametrize("guide", [nowhere, true_costs])
+def test_only_the_privileged_guide_is_told_the_house_and_none_where_the_robot_is(guide):
+    def spy(robot, image, agent):
+        given.append((type(robot), agent.true_distance))
+        return guide(robot, image, agent)
+
+    given, house = [], two_rooms()
+    agent = agent_with(true_costs if guide is true_costs else spy)
+    site, agent = site_of(house.world, house.name, agent), agent.replace(guide=spy)
+    jax.eval_shape(lambda robot: leg(robot, site, agent), robot_at(2.05, -1.55))
+    ((robot, distance),) = given
+    assert robot is Searcher
+    assert (distance is not None) == (guide is true_costs)
 
 
-def test_what_a_robot_does_not_have_is_refused():
-    seen, agent = observed(robot_at(2.05, -1.55), None), agent_with(NullGuide())
-    refusal(lambda: TrueCost().guide(KEY, seen, agent), "TrueCost", "ahead of time", "another guide")
-    blind = Predicted(PredictedCosts(Flat(), Mean()))
-    refusal(lambda: blind.guide(KEY, seen, agent), "the camera's picture", "give one with each frame")
+def test_what_a_robot_does_not_have_is_refused(site):
+    robot = robot_at(2.05, -1.55)
+    refusal(lambda: true_costs(robot, None, agent_with()), "true_costs", "ahead of time", "another one")
+    refusal(lambda: predicted(robot, None, agent_with(estimator=Slope(1))), "the camera's picture", "give one with")
+    refusal(lambda: predicted(robot, picture(robot, site), agent_with()), "need a network")
 
 
 def test_a_robot_looks_around_at_the_start():
-    robot, agent = robot_at(2.05, -1.55), agent_with(NullGuide())
+    robot, agent = robot_at(2.05, -1.55), agent_with()
     costs = lambda position, yaw: jnp.float32(0)  # noqa: E731
-    turning = np.asarray(LookAround(MPC()).plan(KEY, robot, costs, agent))
+    turning = np.asarray(look_around_first(KEY, robot, costs, agent))
     np.testing.assert_array_equal(turning[0], [0, LIMITS.max_turn_rate])
     later = dataclasses.replace(robot, periods=jnp.int32(32))
     sighted = dataclasses.replace(robot, guidance=robot.guidance.replace(to_goal=jnp.bool_(True)))
     for one in (later, sighted):
-        plans = [steering.plan(KEY, one, costs, agent) for steering in (LookAround(MPC()), MPC())]
+        plans = [steering(KEY, one, costs, agent) for steering in (look_around_first, with_mpc)]
         np.testing.assert_array_equal(*plans)
 
 
 def test_random_commands_are_those_the_vehicle_can_take():
-    robot, agent = robot_at(2.05, -1.55), agent_with(NullGuide())
-    plan = np.asarray(RandomUntilSeen().plan(KEY, robot, lambda position, yaw: jnp.float32(0), agent))
+    robot, agent = robot_at(2.05, -1.55), agent_with()
+    plan = np.asarray(random_until_seen(KEY, robot, lambda position, yaw: jnp.float32(0), agent))
     assert plan.shape == (30, 2)
     assert 0 <= plan[:, 0].min() < 0.2 < 0.8 < plan[:, 0].max() <= 1
     assert -2 <= plan[:, 1].min() < -1 < 1 < plan[:, 1].max() <= 2

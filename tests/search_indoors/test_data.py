@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
@@ -14,21 +15,17 @@ from dc2g_jax._src.search_indoors.houses.worlds import scene
 from dc2g_jax._src.search_indoors.learning.collecting import NEVER, CollectionConfig, collect
 from dc2g_jax._src.search_indoors.learning.data import (
     ALL_SYMMETRIES,
-    FREE,
     GLOBAL,
     LOCAL,
     NORMALIZATIONS,
-    OBSTACLE,
     SYMMETRIES,
-    UNEXPLORED,
     JourneySet,
-    cell_codes,
     draw_samples,
     make_sample,
-    map_cells,
+    map_of,
     turned_heading,
 )
-from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, indoor_camera
 from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
@@ -41,6 +38,17 @@ TABLE_BOX = Furniture(TABLE, 4.5, 2.0, 0.8, 0.4, 0.0, 0.7)
 CONFIG = CollectionConfig(journeys=3, views=20, places=2)
 
 
+@struct.dataclass
+class Quarters(TrainedEncoder):
+    """The mean color of each quarter of a picture."""
+
+    weights: None = None
+    architecture: EncoderArchitecture = struct.field(pytree_node=False, default=EncoderArchitecture(features=4))
+
+    def encode(self, images):
+        return jnp.mean(images.reshape(-1, 2, 24, 2, 32, 3), axis=(2, 4, 5)).reshape(len(images), 4)
+
+
 @pytest.fixture(scope="module")
 def world():
     return world_from_plan(plan(BED_BOX, PLANT_BOX, TABLE_BOX), 0.1)
@@ -49,9 +57,7 @@ def world():
 @pytest.fixture(scope="module")
 def samples(world) -> JourneySet:
     """Journeys in one house; features are the mean colors of pictures' quarters."""
-    kernel = jnp.ones((1, 3, 1, 1))
-    encoder = ConvolutionEncoder(kernels=(kernel,), biases=(jnp.full(1, 3.0),), stride=24)
-    made = collect([IndoorHouse("train-0", "train", world)], encoder, CONFIG)
+    made = collect([IndoorHouse("train-0", world)], Quarters(), CONFIG)
     return jax.tree.map(jnp.asarray, made)
 
 
@@ -88,9 +94,7 @@ def test_journeys_are_through_free_floor_and_reveal_the_house(samples, world):
 
 
 def test_the_same_seed_gives_the_same_journeys(samples, world):
-    kernel = jnp.ones((1, 3, 1, 1))
-    encoder = ConvolutionEncoder(kernels=(kernel,), biases=(jnp.full(1, 3.0),), stride=24)
-    again = collect([IndoorHouse("train-0", "train", world)], encoder, CONFIG)
+    again = collect([IndoorHouse("train-0", world)], Quarters(), CONFIG)
     jax.tree.map(np.testing.assert_array_equal, again, samples)
 
 
@@ -113,7 +117,7 @@ def test_labels_are_distances_to_the_nearest_goal(samples, world):
 
 def test_normalized_costs():
     meters, navigable = jnp.asarray([[2.0, 6.0, 60.0]]), jnp.asarray([[True, True, False]])
-    expected = {"metric": [0.2, 0.6], "share": [1 / 3, 1.0], "relative": [0.0, 0.4]}
+    expected = {"share": [1 / 3, 1.0], "relative": [0.0, 0.4]}
     for name, normalize in NORMALIZATIONS.items():
         np.testing.assert_allclose(normalize(meters, navigable)[0, :2], expected.pop(name), rtol=1e-6)
         assert np.isfinite(normalize(meters, ~navigable & navigable)[0, :2]).all()
@@ -121,20 +125,17 @@ def test_normalized_costs():
 
 
 def test_the_network_is_shown_what_the_robots_map_would_show(world):
-    """The window around a robot, from the agent's own map of bits."""
-    codes, cell = cell_codes(world), jnp.array([14, 40])
-    settings = mapping.IndoorMapSettings(cells=GLOBAL, local=LOCAL, cell_size=0.1)
-    position = jnp.asarray([cell[1] + 0.5, -(cell[0] + 0.5)], jnp.float32) * 0.1
-    theirs = mapping.network_input(mapping.IndoorMap(map_cells(codes), jnp.zeros(2, jnp.int32)), position, settings)
-    around = mapping.square(codes, cell - GLOBAL // 2, GLOBAL, UNEXPLORED)
-    ours = np.asarray(mapping.network_maps(map_cells(around), LOCAL))
-    np.testing.assert_array_equal(ours, theirs)
-    near = np.asarray(mapping.square(codes, cell - LOCAL // 2, LOCAL, UNEXPLORED))
+    """The window around a robot in an explored house."""
+    cells, (row, column) = map_of(world), (14, 40)
+    around = mapping.window(mapping.IndoorMap(cells, jnp.zeros(2, jnp.int32)), jnp.array([row, column]), GLOBAL)
+    shown = np.asarray(mapping.network_maps(around, LOCAL))
+    rows, columns = np.indices(world.free.shape)
+    here = slice(None), rows - row + LOCAL // 2, columns - column + LOCAL // 2
     for channel in range(16):
-        np.testing.assert_array_equal(ours[channel], near == OBSTACLE + 1 + channel)
-    np.testing.assert_array_equal(ours[16:18], [near >= OBSTACLE, near != UNEXPLORED])
-    assert ours[BED - 1].any()
-    assert ours[18 + TABLE - 1].any()
+        np.testing.assert_array_equal(shown[here][channel], (world.classes == channel + 1) & world.obstacle)
+    np.testing.assert_array_equal(shown[here][16:18], [world.obstacle, world.obstacle | world.free])
+    assert shown[BED - 1].any()
+    assert shown[18 + TABLE - 1].any()
 
 
 def test_headings_turn_with_their_maps():
@@ -156,7 +157,7 @@ def test_headings_turn_with_their_maps():
 def test_a_sample_is_what_was_known_then(samples, world):
     make = jax.jit(
         lambda journey, view, target, symmetry: make_sample(
-            samples, journey, view, target, symmetry, NORMALIZATIONS["metric"]
+            samples, journey, view, target, symmetry, lambda meters, _: meters / 10
         )
     )
     target, view = GOALS.index(PLANT), 7
@@ -169,7 +170,7 @@ def test_a_sample_is_what_was_known_then(samples, world):
     assert inside.all()
     explored = np.asarray(samples.first_seen[1]) <= view
     maps = np.asarray(mapping.network_maps(sample.cells, LOCAL))
-    np.testing.assert_array_equal(maps[17][place] == 1, explored & (cell_codes(world) != UNEXPLORED))
+    np.testing.assert_array_equal(maps[17][place] == 1, explored & (world.free | world.obstacle))
     np.testing.assert_array_equal(maps[16][place] == 1, explored & world.obstacle)
     np.testing.assert_array_equal(sample.occupied[place], ~world.free)
     assert int(np.sum(~np.asarray(sample.occupied))) == world.free.sum()
@@ -199,16 +200,7 @@ def test_a_batch_is_drawn_for_goals_that_are_there(samples):
     assert not np.array_equal(batch.cells, draw(jax.random.key(1)).cells)
 
 
-def test_codes_of_cells(world):
-    codes = np.asarray(cell_codes(world))
-    assert (codes[np.asarray(world.free)] == FREE).all()
-    assert (codes[np.asarray(world.walls)] == OBSTACLE).all()
-    assert (codes[world.classes == TABLE] == OBSTACLE + TABLE).all()
-    assert codes[0, 0] == UNEXPLORED
-
-
 def test_houses_that_are_too_large_are_refused(world):
-    encoder = ConvolutionEncoder(kernels=(), biases=())
     config = CollectionConfig(largest=20)
-    refusal(lambda: collect([IndoorHouse("train-0", "train", world)], encoder, config), "20 cells", "larger")
+    refusal(lambda: collect([IndoorHouse("train-0", world)], Quarters(), config), "20 cells", "larger")
     refusal(lambda: CollectionConfig(views=255), "255 views")

@@ -39,7 +39,7 @@ def judged(house, start, end, *, declared=True, target="plant", steps=10):
 def test_within_a_meter_counts_and_through_a_wall_does_not(house):
     _, there = success_region(house, "plant")
     # The plant's nearest cells have their middles at x = 4.7 and y = -2.7; row 26, column 46 or so.
-    rows, columns = np.nonzero(house.world.goals(GOALS[3]))
+    rows, columns = np.nonzero(house.world.classes == GOALS[3])
     nearest = np.array(
         [[np.hypot(rows - r, columns - c).min() for c in range(there.shape[1])] for r in range(there.shape[0])]
     )
@@ -99,7 +99,7 @@ def test_differences_are_of_the_same_searches(house):
 
 
 def test_searches_are_drawn_alike_whatever_houses_come_with_them(house):
-    other = type(house)("other", "val", house.world)
+    other = type(house)("other", house.world)
     alone = sample_episodes([house], 6, seed=1)
     assert sample_episodes([other, house], 6, seed=1)[6:] == alone
     assert sample_episodes([house], 6, seed=2) != alone
@@ -109,5 +109,5 @@ def test_searches_are_drawn_alike_whatever_houses_come_with_them(house):
 
 
 def test_houses_without_anything_to_search_for_are_refused(house):
-    bare = type(house)("bare", "val", house.world.replace(classes=np.zeros_like(house.world.classes)))
+    bare = type(house)("bare", house.world.replace(classes=np.zeros_like(house.world.classes)))
     refusal(lambda: sample_episodes([bare], 3), "1 houses", "give others")

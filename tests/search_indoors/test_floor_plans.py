@@ -70,7 +70,7 @@ def test_a_robot_gets_everywhere(worlds):
 
 
 def test_goals_can_be_reached_from_afar(worlds):
-    found = np.array([[np.any(world.goals(goal)) for goal in GOALS] for world in worlds])
+    found = np.array([[np.any(world.classes == goal) for goal in GOALS] for world in worlds])
     started = np.array([[np.any(start_cells(world, goal, distance=1.5)) for goal in GOALS] for world in worlds])
     assert found.mean(axis=0).min() > 0.5
     assert started.sum() >= 0.98 * found.sum()
@@ -82,7 +82,7 @@ def test_things_stand_where_they_belong(worlds):
     for world in worlds:
         kinds = world.room_kinds[world.rooms]
         for kind, rooms in where.items():
-            assert set(kinds[world.goals(kind)].tolist()) <= rooms
+            assert set(kinds[(world.classes == kind)].tolist()) <= rooms
     kinds = np.concatenate([world.room_kinds[1:] for world in worlds])
     toilets = sum(int(np.sum(world.object_kinds == TOILET)) for world in worlds)
     assert toilets >= 0.9 * np.sum(kinds == BATHROOM)

@@ -9,7 +9,6 @@ from dc2g_jax._src.search_indoors.learning.losses import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
     OF_CLASSES,
-    LossWeights,
     action_accuracy,
     best_actions,
     confusion,
@@ -59,7 +58,7 @@ def by_hand(logits, cost, occupied, true):
 
 @pytest.fixture(scope="module")
 def losses():
-    return jax.jit(total_loss, static_argnames="weights")
+    return jax.jit(total_loss)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -69,21 +68,16 @@ def test_losses_are_those_of_the_equations(losses, seed):
     occupied, cut_off = rng.random((2, *SHAPE)) < np.array([0.4, 0.1])[:, None, None]
     true = np.where(occupied | cut_off, np.inf, rng.uniform(0, 3, SHAPE)).astype(np.float32)
     expected = by_hand(logits, cost, occupied, true)
-    weights = LossWeights(0.5, 2.0, 3.0)
-    total, parts = losses(Prediction(jnp.asarray(logits), jnp.asarray(cost)), occupied, true, weights=weights)
+    total, parts = losses(Prediction(jnp.asarray(logits), jnp.asarray(cost)), occupied, true)
     np.testing.assert_allclose([parts[name] for name in ("occupancy", "cost", "direction")], expected, rtol=1e-5)
-    np.testing.assert_allclose(total, expected @ weights, rtol=1e-5)
-
-
-def test_the_papers_weights():
-    assert LossWeights() == (1.0, 1.5, 1.0)
+    np.testing.assert_allclose(total, expected @ (1.0, 1.5, 1.0), rtol=1e-5)
 
 
 def test_the_truth_costs_nothing(losses):
     rows, columns = np.indices(SHAPE)
     true = np.hypot(rows, columns).astype(np.float32)
     occupied = np.zeros(SHAPE, bool)
-    total, _ = losses(Prediction(jnp.full(SHAPE, -30.0), jnp.asarray(true)), occupied, true, weights=LossWeights())
+    total, _ = losses(Prediction(jnp.full(SHAPE, -30.0), jnp.asarray(true)), occupied, true)
     assert float(total) < 1e-6
     # The direction is that of the slope, whatever its length and the cost's level.
     assert float(direction_loss(jnp.asarray(5 * true + 2), jnp.asarray(true), jnp.asarray(~occupied))) < 1e-6
@@ -102,7 +96,7 @@ def test_losses_and_their_slopes_are_finite_where_nothing_is_navigable():
 
     def loss(cost):
         prediction = Prediction(jnp.full(SHAPE, 80.0), cost)
-        return total_loss(prediction, nothing, jnp.full(SHAPE, jnp.inf), LossWeights())[0]
+        return total_loss(prediction, nothing, jnp.full(SHAPE, jnp.inf))[0]
 
     value, slopes = jax.jit(jax.value_and_grad(loss))(jnp.zeros(SHAPE))
     assert float(value) == 0

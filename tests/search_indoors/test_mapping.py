@@ -1,7 +1,5 @@
 """The indoor map against plain loops and against the house that it is of."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +11,6 @@ from dc2g_jax._src.search_indoors.houses.worlds import scene
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.classes import BED
 from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
-from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
 SETTINGS = IndoorMapSettings(cells=90, local=30, cell_size=0.1, reach=4.0)
@@ -117,22 +114,8 @@ def test_crops_are_centered_on_the_robot_and_empty_off_the_map():
     position = jnp.array([9.04, -1.28], jnp.float32)
     around = np.pad(cells, 100)[100 + 32 - 45 : 100 + 32 + 45, 100 + 83 - 45 : 100 + 83 + 45]
     bits = (around >> np.arange(18, dtype=np.uint32)[:, None, None]) & 1
-    maps = np.asarray(jax.jit(lambda place: mapping.network_input(indoor_map, place, SETTINGS))(position))
+    show = lambda place: mapping.network_maps(mapping.window(indoor_map, mapping.grid_cell(place, 0.1), 90), 30)  # noqa: E731
+    maps = np.asarray(jax.jit(show)(position))
     assert maps.shape == (36, 30, 30)
     np.testing.assert_array_equal(maps[:18], bits[:, 30:60, 30:60])
     np.testing.assert_allclose(maps[18:], bits.reshape(18, 30, 3, 30, 3).mean(axis=(2, 4)), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "mentions"),
-    [
-        ({"cells": 100}, "multiple of 140"),
-        ({"local": 0}, "local"),
-        ({"cell_size": 0.0}, "cell_size"),
-        ({"highest": 0.05}, "highest"),
-        ({"cells": 420.0}, "cells"),
-        ({"inset": math.nan}, "inset"),
-    ],
-)
-def test_settings_without_sense_are_refused(wrong, mentions):
-    refusal(lambda: IndoorMapSettings(**wrong), mentions, "give")

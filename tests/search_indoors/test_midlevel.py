@@ -1,4 +1,4 @@
-"""Mid-level features: pictures of houses, the encoder trained on them, and encoders from files."""
+"""Mid-level features: pictures of houses, and the encoder trained on them."""
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,6 @@ from dc2g_jax._src.search_indoors.learning.midlevel import (
     EncoderArchitecture,
     TrainedEncoder,
     load_encoder,
-    vector_size,
 )
 from dc2g_jax._src.search_indoors.learning.training import EncoderTraining, encoder_task, task_losses
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
@@ -125,54 +124,11 @@ def test_the_encoder_comes_back_from_its_file(views, trained, tmp_path):
     encoder, path = trained[0], tmp_path / "encoder.safetensors"
     write_network(path, encoder.weights, encoder.architecture, {"made": "here"})
     loaded = load_encoder(path)
-    assert isinstance(loaded, TrainedEncoder)
     assert loaded.architecture == ARCHITECTURE
     features = encoder.encode(views.image)
-    assert features.shape == (2, vector_size(loaded)) == (2, 5)
+    assert features.shape == (2, 5)
     assert not np.allclose(features[0], features[1], atol=1e-2)
     np.testing.assert_allclose(loaded.encode(views.image), features, atol=1e-2)
     tensors, facts = read_safetensors(path)
     write_safetensors(path, tensors, facts | {"architecture": "none"})
     refusal(lambda: load_encoder(path), path, "architecture")
-
-
-def layers(rng, *channels: int) -> dict[str, np.ndarray]:
-    found = {}
-    for layer, (before, after) in enumerate(zip((3, *channels), channels, strict=False)):
-        found[f"layers.{layer}.weight"] = rng.normal(size=(after, before, 3, 3)).astype(np.float32)
-        found[f"layers.{layer}.bias"] = rng.normal(size=after).astype(np.float32)
-    return found
-
-
-def test_an_encoder_of_others_is_read(tmp_path):
-    rng, path = np.random.default_rng(0), tmp_path / "other.safetensors"
-    tensors = layers(rng, 2, 4)
-    write_safetensors(path, tensors, {"stride": "4"})
-    encoder = load_encoder(path)
-    image = rng.integers(0, 256, (1, *VIEW_SIZE, 3)).astype(np.uint8)
-    at = np.moveaxis(image[0] / 127.5 - 1, -1, 0)
-    for layer in (0, 1):
-        padded = np.pad(at, ((0, 0), (1, 1), (1, 1)))
-        windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::4, ::4]
-        at = np.einsum("ihwrc,oirc->ohw", windows, tensors[f"layers.{layer}.weight"])
-        at = np.maximum(at + tensors[f"layers.{layer}.bias"][:, None, None], 0)
-    features = encoder.encode(jnp.asarray(image))
-    assert vector_size(encoder) == features.shape[1] == 4 * 3 * 4
-    np.testing.assert_allclose(features[0], at.ravel(), rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("change", "mention"),
-    [
-        ({"layers.1.weight": None}, "convolutions"),
-        ({"layers.1.weight": np.zeros((4, 3, 3, 3), np.float32)}, "layer 1"),
-        ({"layers.0.bias": np.zeros(3, np.float32)}, "layer 0"),
-        ({"stride": "two"}, "stride"),
-    ],
-)
-def test_files_that_are_no_encoder_are_refused(tmp_path, change, mention):
-    path = tmp_path / "other.safetensors"
-    tensors: dict = layers(np.random.default_rng(0), 2, 4) | change
-    facts = {"stride": tensors.pop("stride", "2")}
-    write_safetensors(path, {name: value for name, value in tensors.items() if value is not None}, facts)
-    refusal(lambda: load_encoder(path), path, mention)

@@ -20,14 +20,13 @@ from dc2g_jax._src.estimation.weights import (
 )
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning import networks
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, vector_size
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
     ABLATIONS,
     BINS,
     ENCODER_FILE,
     NETWORK_FILE,
     CostMapArchitecture,
-    CostMapEstimator,
     CostMapNetwork,
     Prediction,
     bin_regions,
@@ -132,7 +131,6 @@ def test_occupied_cells_lie_over_the_cost():
     prediction = Prediction(jnp.asarray([[-1.0, 1.0]]), jnp.asarray([[0.3, 0.4]]))
     occupancy, cost = prediction.occupancy, prediction.cost
     np.testing.assert_array_equal(fused_cost(occupancy, cost), np.float32([[0.3, np.inf]]))
-    np.testing.assert_array_equal(fused_cost(occupancy, cost, threshold=0.2), np.float32([[np.inf, np.inf]]))
 
 
 def test_the_default_is_small():
@@ -153,22 +151,30 @@ def folder(weights, tmp_path):
     """A network beside its encoder."""
     small = EncoderArchitecture((4, 5, 6), features=5)
     write_network(tmp_path / ENCODER_FILE, fresh_weights(SmallEncoder, small, jax.random.key(0)), small, {})
-    save_costs(tmp_path, CostMapEstimator(weights=weights, architecture=SMALL), {"houses": "own"})
+    save_costs(tmp_path, weights, SMALL, {"houses": "own"})
     return tmp_path
 
 
 def test_a_network_comes_back_from_its_folder(weights, question, folder):
-    loaded, encoder = load_costs(folder)
+    loaded = load_costs(folder)
     assert loaded.architecture == SMALL
-    assert vector_size(encoder) == 5
+    assert loaded.encoder.architecture.features == 5
     np.testing.assert_allclose(
         answers(SMALL.inputs, loaded.weights, question), answers(SMALL.inputs, weights, question), atol=2e-2
     )
-    maps, target, heading, features = (jnp.asarray(part[1]) for part in question)
-    occupancy, cost = jax.jit(loaded.estimate)(maps, target, features, heading)
-    np.testing.assert_allclose(
-        np.stack([occupancy, cost]), answers(SMALL.inputs, loaded.weights, question)[:, 1], rtol=1e-4, atol=1e-4
-    )
+
+
+def test_estimated_costs_are_meters_beyond_the_best_cell_where_nothing_is_in_the_way(weights, question, folder):
+    loaded, image = load_costs(folder), np.random.default_rng(2).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    maps, target, heading, _ = (jnp.asarray(part[1]) for part in question)
+    found = np.asarray(jax.jit(loaded.estimate)(maps, target, heading, jnp.asarray(image)))
+    features = np.tile(loaded.encoder.encode(jnp.asarray(image)[None]), (2, 1))
+    occupancy, cost = answers(SMALL.inputs, loaded.weights, question, features=features)[:, 1]
+    clear = np.abs(occupancy - 0.5) > 1e-3
+    np.testing.assert_array_equal(np.isinf(found)[clear], (occupancy > 0.5)[clear])
+    free = np.isfinite(found)
+    assert 0 < free.mean() < 1
+    np.testing.assert_allclose(found[free], 10 * (cost - cost[free].min())[free], rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("shipped", [True, False])
@@ -178,7 +184,7 @@ def test_the_card_has_the_digests_of_the_files(shipped, folder):
     assert set(card["sha256"]) == {NETWORK_FILE, ENCODER_FILE}
     for name, digest in card["sha256"].items():
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-    assert load_costs(folder)[0].architecture.inputs == ABLATIONS["both"]
+    assert load_costs(folder).architecture.inputs == ABLATIONS["both"]
     assert shipped or card["houses"] == "own"
     assert sum(path.stat().st_size for path in folder.iterdir()) <= 8e6
 
@@ -196,7 +202,7 @@ def test_files_that_are_no_network_are_refused(weights, folder):
     write_safetensors(path, {name: tensors[name] for name in list(tensors)[1:]}, facts)
     refusal(lambda: load_costs(folder), path, next(iter(tensors)), "none")
     other = dataclasses.replace(SMALL, features=4)
-    save_costs(folder, CostMapEstimator(fresh_weights(CostMapNetwork, other, jax.random.key(0)), other), {})
+    save_costs(folder, fresh_weights(CostMapNetwork, other, jax.random.key(0)), other, {})
     refusal(lambda: load_costs(folder), folder, "5 features", "takes 4", "one folder")
     (folder / ENCODER_FILE).unlink()
     refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "dc2g objectnav train")

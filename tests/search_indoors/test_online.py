@@ -10,19 +10,12 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.mapping.camera import Frame
 from dc2g_jax._src.mapping.simulator import render
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, LIMITS, MPC, LookAround
-from dc2g_jax._src.search_indoors.search.guides import (
-    GoalReacher,
-    PredictedCosts,
-    PromisingFrontier,
-    TrueCost,
-)
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, LIMITS, look_around_first
+from dc2g_jax._src.search_indoors.search.guides import promising_frontier, true_costs, until_seen
 from dc2g_jax._src.search_indoors.search.online import OnlineSearcher
 from dc2g_jax._src.search_indoors.search.searches import act, is_active, look_and_decide, picture, reset, site_of
 from tests.support.refusals import refusal
@@ -44,22 +37,16 @@ class Moment(NamedTuple):
 
 @struct.dataclass
 class PicturesMatter:
-    """Predicts costs that depend on the picture's features and on the direction of the camera."""
+    """Predicts costs that depend on the picture and on the direction of the camera."""
 
-    def estimate(self, maps, target, features, heading):
-        cost = jnp.mean(features) * jnp.arange(maps.shape[-1]) / 20 + 0.01 * heading
-        return jnp.zeros(maps.shape[1:]), jnp.broadcast_to(cost, maps.shape[1:])
-
-
-def promising():
-    small = EncoderArchitecture((4, 5, 6), features=7)
-    encoder = TrainedEncoder(fresh_weights(SmallEncoder, small, jax.random.key(0)), small)
-    return GoalReacher(PromisingFrontier(PredictedCosts(PicturesMatter(), encoder)))
+    def estimate(self, maps, target, heading, image):
+        cost = (jnp.mean(image / 255) - 0.5) * jnp.arange(maps.shape[-1]) + 0.1 * heading
+        return jnp.broadcast_to(cost - jnp.min(cost), maps.shape[1:])
 
 
 AGENTS = {
-    "frontier": AGENT.replace(steering=LookAround(MPC())),
-    "promising": AGENT.replace(guide=promising()),
+    "frontier": AGENT.replace(steering=look_around_first),
+    "promising": AGENT.replace(guide=until_seen(promising_frontier), estimator=PicturesMatter()),
 }
 
 
@@ -158,8 +145,8 @@ def test_robots_take_turns_with_one_searcher():
         ({"speeds": "fast"}, ("speeds is 'fast'", "finite numbers")),
         ({"image": None}, ("picture is missing", "uint8 [48, 64, 3]")),
         ({"image": np.zeros((48, 64, 3))}, ("picture is of dtype float64", "uint8 [48, 64, 3]")),
-        ({"depth": np.zeros((30, 41), np.float32)}, ("depth of the frame", "(30, 41)", "[30, 40]")),
-        ({"classes": np.zeros((30, 40), np.int64)}, ("classes of the frame", "int64", "uint8")),
+        ({"depth": np.zeros((30, 41), np.float32)}, ("depth has shape (30, 41)", "(30, 40)")),
+        ({"classes": np.zeros((30, 40), np.int64)}, ("classes int64", "uint8")),
     ],
 )
 def test_bad_input_is_refused(wrong, mentions):
@@ -172,4 +159,4 @@ def test_bad_input_is_refused(wrong, mentions):
 
 def test_agents_that_know_the_house_are_refused():
     refusal(lambda: OnlineSearcher("true_cost"), "'true_cost'", "promising, predicted, frontier")
-    refusal(lambda: OnlineSearcher(AGENT.replace(guide=TrueCost())), "TrueCost", "ahead of time", "another guide")
+    refusal(lambda: OnlineSearcher(AGENT.replace(guide=true_costs)), "true_costs", "ahead of time", "another one")

@@ -7,13 +7,13 @@ import pytest
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.search_indoors.houses.dataset import indoor_houses
 from dc2g_jax._src.search_indoors.houses.plans import MARGIN, world_from_plan
-from dc2g_jax._src.search_indoors.houses.procthor import AssetBox, house_plan, read_procthor
+from dc2g_jax._src.search_indoors.houses.procthor import house_plan, read_procthor
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
 from tests.support import house_lines
 from tests.support.two_rooms import rooms_cut_off
 
-BOXES = {asset: AssetBox(entry["type"], *entry["box"]) for asset, entry in house_lines.BOXES.items()}
+BOXES = {asset: (entry["type"], *entry["box"]) for asset, entry in house_lines.BOXES.items()}
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_child_covers_its_own_part_of_the_parent(world):
     assert cells_of(world.classes == PLANT) == plant
     assert cells_of(world.classes == TABLE) == table - plant
     assert np.unique(world.heights[world.classes == PLANT]) == pytest.approx(1.3)
-    assert cells_of(world.goals(PLANT)) == plant
+    assert cells_of(world.classes == PLANT) == plant
 
 
 def test_a_thin_television_has_the_cells_of_its_room_beside_the_wall(world):
@@ -84,10 +84,10 @@ def test_rooms_free_floor_and_places(world):
     np.testing.assert_array_equal(world.free, (world.rooms > 0) & (world.heights == 0))
     assert not (world.free | world.obstacle)[[0, -1]].any()
     for kind, (x, y) in ((BED, (1.05, 0.55)), (PLANT, (4.6, 0.4))):
-        rows, columns = np.nonzero(world.goals(kind))
+        rows, columns = np.nonzero(world.classes == kind)
         assert np.mean(columns + 0.5) * 0.1 == pytest.approx(x + MARGIN, abs=0.051)
         assert np.mean(rows + 0.5) * 0.1 == pytest.approx(3 - y + MARGIN, abs=0.051)
-    assert set(world.rooms[world.goals(BED)].tolist()) == {1}
+    assert set(world.rooms[(world.classes == BED)].tolist()) == {1}
 
 
 @pytest.mark.parametrize("cell_size", [0.05, 0.07, 0.13])

@@ -7,9 +7,7 @@ import pytest
 
 from dc2g_jax._src.mapping.noise import NoiseLevels
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.searches import is_active, leg, reset, sample_episodes, search_all, site_of
-from tests.support.refusals import refusal
 from tests.support.two_rooms import AGENT, two_rooms
 
 
@@ -60,15 +58,9 @@ def test_drift_moves_where_a_robot_believes_to_be_and_not_where_it_is(found):
     for noise in (NoiseLevels(0.0), NoiseLevels(0.0, position_drift=0.3, yaw_drift=0.1)):
         first = reset(jax.random.key(0), (start, target), AGENT, 30)
         robot = next_leg(next_leg(next_leg(first, noise), noise), noise)
-        drift = jnp.stack([robot.drift.x, robot.drift.y, robot.drift.yaw])
+        drift = robot.drift
         assert np.any(drift != 0) == np.any(noise.position_drift != 0)
         x, y, yaw = robot.track[robot.periods, :3]
         np.testing.assert_array_equal(robot.true.position, (x, y))
         np.testing.assert_allclose(robot.vehicle.position, drift[:2] + jnp.stack([x, y]), atol=1e-6)
         np.testing.assert_allclose(robot.vehicle.yaw, drift[2] + yaw, atol=1e-6)
-
-
-def test_cells_of_another_size_are_refused(found):
-    house, episodes, _, _ = found
-    fine = AGENT.replace(mapping=IndoorMapSettings(cells=120, local=60, cell_size=0.05))
-    refusal(lambda: search_all(fine, [house], episodes), house.name, "0.1 m", "0.05 m", "make them alike")

@@ -9,7 +9,6 @@ from dc2g_jax._src.mapping.simulator import cast
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
 from dc2g_jax._src.search_indoors.houses.worlds import (
     approaches,
-    pad_world,
     padded_alike,
     sample_starts,
     scene,
@@ -35,18 +34,11 @@ def test_stacked_houses_keep_their_places():
     assert not stacked.free[0, :, columns:].any()
     assert (stacked.instances[0, rows:] == -1).all()
     assert stacked.object_kinds.tolist() == [[BED, 0], [BED, PLANT]]
-    goals = jax.vmap(lambda world, goal: world.goals(goal).sum())(stacked, jnp.array([BED, PLANT]))
-    assert goals.tolist() == [small.goals(BED).sum(), large.goals(PLANT).sum()]
+    goals = jax.vmap(lambda world, goal: (world.classes == goal).sum())(stacked, jnp.array([BED, PLANT]))
+    assert goals.tolist() == [(small.classes == BED).sum(), (large.classes == PLANT).sum()]
 
 
-def test_houses_that_do_not_fit_together_are_refused():
-    world = world_from_plan(plan(), 0.1)
-    with pytest.raises(InputError, match="does not fit"):
-        pad_world(world, 10, 200, 3, 0)
-    with pytest.raises(InputError, match="equal cells"):
-        padded_alike([world, world_from_plan(plan(), 0.2)])
-    with pytest.raises(InputError, match="equal cells"):
-        padded_alike([])
+def test_cells_without_sense_are_refused():
     with pytest.raises(InputError, match="cell size"):
         world_from_plan(plan(), 0.0)
     with pytest.raises(InputError, match="cells a side"):

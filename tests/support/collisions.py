@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax  # noqa: F401 before the change: what libraries compile is theirs
 import orbax.checkpoint  # noqa: F401
@@ -177,8 +178,15 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         state = indoor_training.first_state(config)
         supervised_step(state, make_indoor(cls), training=config, mesh=mesh_of())
 
-    def search(guide: Any) -> None:
-        agent = AGENT.replace(guide=guides.GoalReacher(guide))
+    @struct.dataclass
+    class Level:
+        """Predicts the same costs everywhere, indoors."""
+
+        def estimate(self, maps, target, heading, image):
+            return jnp.zeros(maps.shape[1:])
+
+    def search(estimator: Any) -> None:
+        agent = AGENT.replace(guide=guides.until_seen(guides.predicted), estimator=estimator)
         searches.search_all(agent, [house], searched, limit=12)
 
     def benchmark(cls: type) -> None:
@@ -223,7 +231,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
             of_estimator,
         ),
         "fleet": (lambda cls: drive(cls(drives.RULES)), of_planner),
-        "searches, guide": (lambda cls: search(cls()), variants(guides.NearestFrontier, "guide")),
+        "searches, estimator": (lambda cls: search(cls()), variants(Level, "estimate")),
         "training": (train, variants(Drawer, "pairs")),
         "sweep": (sweep, variants(Drawer, "pairs")),
         "translator": (translate, variants(Drawer, "pairs")),

@@ -53,7 +53,7 @@ from dc2g_jax._src.training.step import TrainingState
 from experiments import unknown_dimensions
 from tests.support import trainings
 from tests.support.houses import STREET, YARD
-from tests.support.two_rooms import two_rooms
+from tests.support.two_rooms import AGENT, two_rooms
 
 #: Runs a command, resumed or not, that writes to this folder.
 Command = Callable[[Path, bool], None]
@@ -222,7 +222,7 @@ def objectnav_table1_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
 def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _tables(patch)
     patch.setattr(objectnav_table2, "open_networks", lambda folders: {"semantic": None, "both": None})
-    patch.setattr(objectnav_table2, "agent_with", lambda *args: None)
+    patch.setattr(objectnav_table2, "agent_with", lambda *args: AGENT)
     metrics = dict.fromkeys((*METRICS, *OF_CLASSES), 50.0)
     patch.setattr(objectnav_table2, "prediction_metrics", lambda *args: metrics)
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))

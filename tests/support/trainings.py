@@ -80,7 +80,7 @@ def journeys() -> JourneySet:
     meters = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
     none = np.full_like(meters, 65535)
     return JourneySet(
-        cells=jnp.asarray(np.stack([np.where(free, 1, 2)] * 2).astype(np.uint8)),
+        cells=jnp.asarray(np.stack([np.where(free, 2, 3)] * 2).astype(np.uint32) << 16),
         distance=jnp.asarray(np.stack([[meters] + [none] * 4, [none] * 4 + [meters]])),
         house=jnp.asarray([0, 1], jnp.int32),
         first_seen=jnp.asarray(np.stack([np.where(rows < 20, 0, 255)] * 2).astype(np.uint8)),

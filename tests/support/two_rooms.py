@@ -8,14 +8,14 @@ from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region
 from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
-from dc2g_jax._src.search_indoors.search.agent import LIMITS, MPC, Agent
-from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier
+from dc2g_jax._src.search_indoors.search.agent import LIMITS, Agent, with_mpc
+from dc2g_jax._src.search_indoors.search.guides import nearest_frontier, until_seen
 from dc2g_jax._src.vehicles.mppi import MPPISettings
 
 #: An agent with a small camera that samples few controls.
 AGENT = Agent(
-    guide=GoalReacher(NearestFrontier()),
-    steering=MPC(),
+    guide=until_seen(nearest_frontier),
+    steering=with_mpc,
     camera=intrinsics(90.0, 30, 40),
     mapping=IndoorMapSettings(cells=120, local=60),
     controller=MPPISettings(limits=LIMITS, samples=8, horizon=20),
@@ -48,7 +48,7 @@ def plan(*furniture: Furniture, door: float = 1.0, width: float = 6.0, wall: flo
 def two_rooms() -> IndoorHouse:
     """A bed and a plant. In the world, rooms begin at x = 0.25 and y = -0.25; the wall between them is at x = 3.25."""
     bed, plant = Furniture(BED, 0.6, 2.0, 1.0, 1.6, 0.0, 0.6), Furniture(PLANT, 4.6, 0.4, 0.4, 0.4, 0.0, 0.8)
-    return IndoorHouse("two_rooms", "val", world_from_plan(plan(bed, plant, width=5.0, wall=3.0), 0.1))
+    return IndoorHouse("two_rooms", world_from_plan(plan(bed, plant, width=5.0, wall=3.0), 0.1))
 
 
 def rooms_cut_off(world: IndoorWorld) -> list[int]:

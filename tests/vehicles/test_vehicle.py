@@ -6,7 +6,6 @@ from hypothesis import given, settings, strategies as st
 
 from dc2g_jax._src.vehicles.vehicle import VehicleLimits, VehicleState, at_rest, drive
 from tests.oracles.vehicle_oracle import driven
-from tests.support.refusals import refusal
 
 LIMITS = VehicleLimits(max_speed=2.0, max_turn_rate=3.0, max_acceleration=4.0, max_turn_acceleration=20.0, radius=0.4)
 SECONDS = 0.25
@@ -77,8 +76,3 @@ def test_a_state_keeps_its_types(drives):
     after = drives(before, jnp.zeros(2))
     for leaf, later in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         assert (leaf.dtype, leaf.weak_type, leaf.shape) == (later.dtype, later.weak_type, later.shape)
-
-
-def test_limits_that_are_none_are_refused():
-    refusal(lambda: VehicleLimits(radius=0.0), "radius", 0.0, "above 0")
-    refusal(lambda: VehicleLimits(max_speed=float("nan")), "max_speed", "nan")

@@ -310,7 +310,7 @@ def test_an_episode_without_exploration_is_recorded(tmp_path):
         "**step 0** of 3 · +0 % extra · to goal: door in 3",
         "**step 1** of 3 · +0 % extra · to goal: door in 2",
         "**step 2** of 3 · +0 % extra · to goal: door in 1",
-        "**step 3** of 3 · +0 % extra · goal reached",
+        "**step 3** of 3 · +0 % extra · at the goal",
     ]
 
 
@@ -378,7 +378,7 @@ def test_recorded_plans_are_the_replay(logged, frames):
             assert drawn == ([cells] if len(cells) > 1 else [])
         words = [line[0] for line in logged[f"/{name}/mode", "TextLog:text"].values()]
         assert words[0] == f"{name}: {MODE_NAMES[EXPLORE]}"
-        assert words[-1] == f"{name}: goal reached"
+        assert words[-1] == f"{name}: at the goal"
         assert len(words) == 3
 
 
@@ -423,7 +423,7 @@ def test_recorded_numbers_are_the_replay(logged, results, frames):
         np.testing.assert_array_equal([left[step][0] for step in range(len(found))], found.to_goal)
         status = logged[f"/{name}/status", "TextDocument:text"]
         last = f"**step {results[name].steps}** of {results[name].steps}"
-        assert status[len(found) - 1][0] == f"{last} · {results[name].extra:+.0f} % extra · goal reached"
+        assert status[len(found) - 1][0] == f"{last} · {results[name].extra:+.0f} % extra · at the goal"
         least = np.nanmin(found.score[0])
         count = np.sum(~np.isnan(found.score[0]))
         first = f"explore: subgoal in {found.length[0]}, score {least:.1f}, best of {count}"

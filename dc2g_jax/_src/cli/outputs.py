@@ -108,7 +108,7 @@ def output_folder(
         before = _read_run(folder)
         alone = _hold(folder)
         _require_same(folder, before, command, given, {*WHERE, *free})
-        _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
+        _require_same_inputs(folder, before["inputs"], inputs or {})
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))
@@ -199,7 +199,7 @@ def _read_run(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder}: holds no run to resume; leave out --resume to begin one")
     facts = read_object(path, remedy, at_most=_LARGEST_RECORD)
     for name, kind in (("options", dict), ("inputs", dict), ("runs", list)):
-        if not isinstance(facts.get(name, {} if name == "inputs" else None), kind):
+        if not isinstance(facts.get(name), kind):
             raise InputError(f"{path}: {name} is {short(facts.get(name))}; {remedy}")
     return facts
 
@@ -225,12 +225,7 @@ def _require_same(
 def _require_same_inputs(folder: Path, before: Mapping[str, Any], now: Mapping[str, str]) -> None:
     """Check that a run is resumed with the same data."""
     for name, digest in now.items():
-        if name not in before:
-            raise InputError(
-                f"{folder}: was begun by a version that did not note what it read for --{name.replace('_', '-')}; give "
-                "--out another folder"
-            )
-        if before[name] != digest:
+        if before.get(name) != digest:
             told = " (or for DC2G_DATA)" if name == "dataset" else ""
             raise InputError(
                 f"{folder}: what is read for --{name.replace('_', '-')}{told} has changed since it was begun; bring it "

@@ -1,25 +1,34 @@
-"""Shared by the commands for object goals: options, `episodes.csv`, and the final report."""
+"""Shared by the commands for object goals: options, and the comparison of agents."""
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import time
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 import tyro
 
+from dc2g_jax._src.cli.common import digests
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
-from dc2g_jax._src.cli.outputs import print_files
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import CONTROLLER, Agent
-from dc2g_jax._src.search_indoors.search.evaluation import SearchResult, difference, results_of, with_interval
-from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, Search, sample_episodes, search_all
+from dc2g_jax._src.search_indoors.search.evaluation import (
+    SearchResult,
+    SearchSummary,
+    difference,
+    results_of,
+    summarize,
+    with_interval,
+)
+from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, sample_episodes, search_all
 
 #: Printed below every table.
 _CAVEAT = (
@@ -71,81 +80,53 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
     episodes: int = 40
     resamples: int = 10_000
 
-    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
-        """The houses and the searches in them.
 
-        Raises:
-          InputError: a number is below 1, or there are not enough houses.
-        """
-        require_positive(self, "count", "episodes", "samples", "limit", "resamples")
-        houses = indoor_houses(
-            self.dataset, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
-        )
-        return houses, sample_episodes(houses, self.episodes, seed=self.seed)
-
-    @property
-    def described(self) -> str:
-        """The houses in words."""
-        kind = "procedural floor plans" if self.dataset == PROCEDURAL else f"houses of {self.dataset}"
-        return f"{self.count} {kind}, {self.split}"
-
-
-def run_searches(
-    table: ResumableTable[SearchResult],
-    name: str,
-    agent: Callable[[], Agent],
-    houses: Sequence[IndoorHouse],
-    episodes: Sequence[Search],
-    options: SearchOptions,
-) -> list[SearchResult]:
-    """Results of an agent's searches, from `episodes.csv` or run now, and added to it after the last one.
+def compare(
+    command: str,
+    options: ComparisonOptions,
+    agents: Mapping[str, Agent],
+    titles: Mapping[str, str],
+    report: Callable[[list[IndoorHouse], dict[str, SearchSummary]], tuple[str, dict[str, Any]]],
+    **inputs: Any,
+) -> None:
+    """Run the same searches with several agents. Write `episodes.csv`, and `results.json` with the agents' comparison.
 
     Args:
-      table: the file.
-      name: name of the agent in the table.
-      agent: makes the agent; not called if the file has the searches.
-      houses: houses of the searches.
-      episodes: the searches.
-      options: time limit and seed.
+      command: name of the command.
+      options: its options.
+      agents: the agent of each row of the table, by name.
+      titles: titles of the rows by name.
+      report: makes the table as text, and contents of `results.json`, from the houses and the summary of each row.
+      inputs: trees of arrays by option, which must be the same when a run is resumed.
 
     Raises:
-      InputError: the file holds other searches.
+      InputError: a number is below 1, there are not enough houses, or the file holds other searches.
     """
-    progress = EpisodeProgress()
+    require_positive(options, "count", "episodes", "samples", "limit", "resamples")
+    where, cell_size = (options.dataset, options.split), IndoorMapSettings.cell_size
+    houses = indoor_houses(*where, count=options.count, cell_size=cell_size, strict=options.strict)
+    episodes = sample_episodes(houses, options.episodes, seed=options.seed)
+    given = {"dataset": tree_sha256([house.world for house in houses]), **digests(**inputs)}
+    out = output_folder(options, command, inputs=given)
+    table, results, progress = ResumableTable(out / "episodes.csv", SearchResult), {}, EpisodeProgress()
+    for name, agent in agents.items():
+        began = time.perf_counter()
 
-    def search() -> list[SearchResult]:
-        searches = search_all(
-            agent(), houses, episodes, limit=options.limit, seed=options.seed,
-            on_progress=lambda finished: progress(name, finished, len(episodes)),
-        )  # fmt: skip
-        return results_of(name, houses, episodes, searches)
+        def search(name: str = name, agent: Agent = agent) -> list[SearchResult]:
+            searches = search_all(
+                agent, houses, episodes, limit=options.limit, seed=options.seed,
+                on_progress=lambda finished: progress(name, finished, len(episodes)),
+            )  # fmt: skip
+            return results_of(name, houses, episodes, searches)
 
-    return table.next_results([(*episode, name) for episode in episodes], search)
-
-
-def conclude(
-    out: Path,
-    options: ComparisonOptions,
-    houses: Sequence[IndoorHouse],
-    results: Mapping[str, Sequence[SearchResult]],
-    titles: Mapping[str, str],
-    table: str,
-    facts: Mapping[str, Any],
-) -> None:
-    """Print a table and compare its last row with the others; write `results.json`.
-
-    Args:
-      out: folder to write to.
-      options: options of the command.
-      houses: houses that were searched.
-      results: results of the same searches by row of the table.
-      titles: titles of the rows by name.
-      table: the table as text.
-      facts: contents of `results.json` besides houses, split and differences.
-    """
+        results[name] = table.next_results([(*episode, name) for episode in episodes], search)
+        print(f"{titles[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
+    summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
+    text, facts = report(houses, summaries)
+    kind = "procedural floor plans" if options.dataset == PROCEDURAL else f"houses of {options.dataset}"
+    print(f"\n{len(episodes)} searches in {options.count} {kind}, {options.split}\n{text}\n{_CAVEAT}")
     *others, last = results
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
-    print(f"\n{table}\n{_CAVEAT}")
     for name, gain in gains.items():
         success, spl = (with_interval(value, "+") for value in gain.values())
         print(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")

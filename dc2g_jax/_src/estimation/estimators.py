@@ -115,6 +115,12 @@ def update_where(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batc
       inputs: pytree of arrays whose last axes are those of `wanted`.
       before: old values, likewise.
     """
+    if wanted.size == 1:
+        return jax.lax.cond(
+            wanted.reshape(()),
+            lambda: jax.tree.map(lambda new, old: new.astype(old.dtype), function(inputs, before), before),
+            lambda: before,
+        )
     batch_axes = wanted.ndim
 
     def flat(leaf: Array) -> Array:

@@ -1,5 +1,6 @@
 """Figures of map panels placed at whole pixels, and outlines of cells."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
 
-from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, whole_pixels
+from dc2g_jax._src.figures.results_figures import PAGE_WIDTH
 
 #: Inches: largest height of a panel; the space left of the panels, between them and between their titles, above them
 #: for a title and for its second line, for the color bars and a line of the legend. And pixels per inch.
@@ -50,9 +51,13 @@ class Sheet(NamedTuple):
         x = _LEFT + column * self.column + (self.column - _GAP - self.width) / 2
         axes = self._axes(x, (row + 1) * self.row - self.height, self.width, self.height)
         axes.set(xticks=[], yticks=[])
-        axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=color)
         axes.spines[:].set(color="#888888", linewidth=0.5)
+        self.title(axes, title, color)
         return axes
+
+    def title(self, axes: Axes, title: str, color: str = "black") -> None:
+        """Set the title of a panel."""
+        axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=color)
 
     def bar(self, place: float, colors: ScalarMappable, title: str, **options: Any) -> None:
         """Add a color bar below the panels, in the left half of the page (`place` 0) or in the right half (1)."""
@@ -67,7 +72,8 @@ class Sheet(NamedTuple):
 
     def _axes(self, x: float, y: float, width: float, height: float) -> Axes:
         """Axes at a position in inches from the upper left corner, moved to whole pixels."""
-        x, y = round(x * DPI) / DPI, round(y * DPI) / DPI
+        dpi = float(self.figure.dpi)
+        x, y = round(x * dpi) / dpi, round(y * dpi) / dpi
         total_width, total_height = self.figure.get_size_inches()
         rectangle = (x / total_width, 1 - (y + height) / total_height, width / total_width, height / total_height)
         return self.figure.add_axes(rectangle)
@@ -83,8 +89,16 @@ def _inches(text: str) -> float:
     return float(TextPath((0, 0), text, size=FONT).get_extents().width) / 72 if text else 0.0
 
 
+def most_columns(panels: int, shape: tuple[int, ...]) -> int:
+    """The number of columns that makes panels largest; of several, the largest."""
+    height, width = shape
+    return max(
+        range(1, panels + 1), key=lambda columns: (min(PAGE_WIDTH / columns / width, _TALLEST / height), columns)
+    )
+
+
 def empty_sheet(
-    shape: tuple[int, ...], rows: int, columns: int, entries: Sequence[Any], titles: Sequence[str]
+    shape: tuple[int, ...], rows: int, columns: int, entries: Sequence[Any], titles: Sequence[str], dpi: int = DPI
 ) -> Sheet:
     """An empty sheet with its legend. Titles that would touch their neighbors are broken after the colon.
 
@@ -94,10 +108,13 @@ def empty_sheet(
       columns: columns of panels.
       entries: entries of the legend.
       titles: titles of all panels.
+      dpi: pixels per inch of the figure as it is written.
     """
     height, width = shape
     room = (PAGE_WIDTH - _LEFT - columns * _GAP) / columns
-    scale = whole_pixels(min(room / width, _TALLEST / height), DPI)
+    pixels = min(room / width, _TALLEST / height) * dpi
+    # Whole pixels, so that cells look alike; those of less than four cannot be told from others anyway.
+    scale = (math.floor(pixels) if pixels >= 4 else pixels) / dpi
     panel_width, panel_height = scale * width, scale * height
     lines = 1 if max(map(_inches, titles)) + _TITLE_GAP <= panel_width + _GAP else 2
     widest = max(_inches(line) for title in titles for line in _title_lines(title, lines))
@@ -106,8 +123,8 @@ def empty_sheet(
     legend_columns = min(len(entries), int(page_width / _ENTRY))
     foot = _BARS + _LINE * -(-len(entries) // legend_columns)
     row = panel_height + _TITLE + (lines - 1) * _TITLE_LINE
-    pixels = np.ceil(np.array([page_width, rows * row + foot]) * DPI)
-    figure = Figure(figsize=tuple(pixels / DPI))
+    page = np.ceil(np.array([page_width, rows * row + foot]) * dpi)
+    figure = Figure(figsize=tuple(page / dpi), dpi=dpi)
     figure.legend(
         handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=legend_columns,
         frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,

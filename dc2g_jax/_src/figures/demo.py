@@ -21,7 +21,6 @@ from PIL import Image
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, answers_in_cells
-from dc2g_jax._src.figures.animation import CROSS, STAR, TRIANGLES
 from dc2g_jax._src.figures.costs import cost_image, score_colors
 from dc2g_jax._src.figures.episode_figures import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR, goal_marks
 from dc2g_jax._src.figures.replay import first_carry
@@ -47,6 +46,11 @@ BLANK_SIDE, _USUAL_SIDE = 40, 50
 
 #: Most drawings that `undo` goes back, most characters of a link, and most cells of a map in one.
 _MOST_KEPT, _LONGEST_LINK, _MOST_CELLS = 200, 4000, 2**20
+
+#: Outlines of marks around the origin, as SVG has them: the robot heading right, a door, a subgoal.
+_TRIANGLE = "1,0 -.8,-.85 -.8,.85"
+_STAR = "0,-1 .25,-.34 .95,-.31 .4,.13 .59,.81 0,.42 -.59,.81 -.4,.13 -.95,-.31 -.25,-.34"
+_CROSS = "0,.4 .6,1 1,.6 .4,0 1,-.6 .6,-1 0,-.4 -.6,-1 -1,-.6 -.4,0 -1,.6 -.6,1"
 
 
 class Moment(NamedTuple):
@@ -335,7 +339,7 @@ def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:
 def start_marks(terrain: UInt8[np.ndarray, "h w"], start: RobotPose) -> str:
     """SVG of the doors and of the robot at the start."""
     size = max(terrain.shape) / _USUAL_SIDE
-    return _doors(terrain, start, size) + _mark(TRIANGLES[start.heading], start, 1.2 * size, ROBOT_COLOR)
+    return _doors(terrain, start, size) + _mark(_TRIANGLE, start, 1.2 * size, ROBOT_COLOR, start.heading)
 
 
 def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensing_range: int) -> str:
@@ -357,21 +361,22 @@ def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensin
             f"{candidate.distance} actions away{cost}</title></circle>"
         )
     if decision.mode == "explore" and decision.subgoal is not None:
-        parts.append(_mark(CROSS, decision.subgoal, 0.9 * size, SUBGOAL_COLOR))
-    parts.append(_mark(TRIANGLES[pose.heading], pose, 1.2 * size, ROBOT_COLOR))
+        parts.append(_mark(_CROSS, decision.subgoal, 0.9 * size, SUBGOAL_COLOR))
+    parts.append(_mark(_TRIANGLE, pose, 1.2 * size, ROBOT_COLOR, pose.heading))
     return "".join(parts)
 
 
 def _doors(terrain: UInt8[np.ndarray, "h w"], robot: RobotPose, size: float) -> str:
     places, _ = goal_marks(terrain, robot[:2])
-    return "".join(_mark(STAR, place, 1.3 * size, MARK_COLOR) for place in places)
+    return "".join(_mark(_STAR, place, 1.3 * size, MARK_COLOR) for place in places)
 
 
-def _mark(outline: Sequence[tuple[float, float]], cell: Sequence[int], size: float, color: str) -> str:
-    """A polygon around the center of a cell."""
-    points = " ".join(f"{cell[0] + 0.5 + size * x:.2f},{cell[1] + 0.5 + size * y:.2f}" for x, y in outline)
-    width = f"{0.2 * size:.2f}"
-    return f'<polygon points="{points}" fill="{color}" stroke="black" stroke-width="{width}" stroke-linejoin="round"/>'
+def _mark(outline: str, cell: Sequence[int], size: float, color: str, turns: int = 0) -> str:
+    """A polygon around the center of a cell, after quarter turns to the right."""
+    return (
+        f'<polygon points="{outline}" fill="{color}" stroke="black" stroke-width="0.2" stroke-linejoin="round" '
+        f'transform="translate({cell[0] + 0.5} {cell[1] + 0.5}) rotate({90 * turns}) scale({size:.2f})"/>'
+    )
 
 
 def _line(poses: Sequence[RobotPose], color: str, width: float) -> str:

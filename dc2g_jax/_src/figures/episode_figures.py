@@ -14,6 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from dc2g_jax._src.figures._sheets import DPI, FONT, Sheet, cell_rim, empty_sheet, spread
 from dc2g_jax._src.figures.costs import (
@@ -60,6 +61,7 @@ _GOAL: dict[str, Any] = {"marker": "*", "color": MARK_COLOR, "markersize": 5.5, 
 _REACHED: dict[str, Any] = _GOAL | {"markersize": 13}
 _SUBGOAL: dict[str, Any] = {"marker": "X", "color": SUBGOAL_COLOR, "markersize": 5, "markeredgewidth": 0.6, **_EDGE}
 _LINE_STYLE: dict[str, Any] = {"solid_joinstyle": "round", "scalex": False, "scaley": False}
+_VIEW_COLOR = "#e69f00"
 _HEADING_MARKERS = ">v<^"
 
 #: Side of a cell, in points, for which the sizes of lines and marks above are meant.
@@ -74,6 +76,17 @@ def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: str) -> list[Any]:
     """Entries of the legend: the classes of a map, the most frequent first, then marks."""
     classes = [class_patch(index) for index in present_classes(terrain)]
     return classes + [Line2D([], [], label=mark, **_MARKS[mark]) for mark in marks]
+
+
+def legend_entries(terrain: UInt8[np.ndarray, "h w"], *, costs: bool, view: bool = False) -> list[Any]:
+    """Entries of the legend of maps that are seen in part, of costs, and of the field of view."""
+    entries = _entries(terrain, *_MARKS)
+    entries.append(legend_patch("not seen yet", hidden_color(present_classes(terrain)[0])))
+    if costs:
+        entries.append(legend_patch("not traversable", BLOCKED_COLOR))
+    if view:
+        entries.append(Patch(facecolor="white", edgecolor=_VIEW_COLOR, label="in view"))
+    return entries
 
 
 def goal_marks(terrain: UInt8[np.ndarray, "h w"], robot: tuple[int, int]) -> tuple[list[tuple[int, int]], bool]:
@@ -112,7 +125,15 @@ def _draw_map(
         axes.plot([x], [y], **_scaled(axes, _REACHED if reached and number == len(places) else _GOAL))
 
 
-def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
+def draw_view(axes: Axes, house: House, frames: Frames, frame: int, *, in_view: bool = False) -> None:
+    """Draw the map as seen before an action, and the outline of what is in view."""
+    _draw_map(axes, house.terrain, frames.seen[frame], (int(frames.pose.x[frame]), int(frames.pose.y[frame])))
+    if in_view:
+        rim = cell_rim(frames.field_of_view[frame])
+        axes.add_collection(LineCollection(rim, colors=_VIEW_COLOR, linewidths=1.0), autolim=False)
+
+
+def draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
     """Draw the path so far, its start, the subgoal of the plan, and the robot."""
     x, y = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1]
     for color, thickness in (("white", 2.2), ("black", 1.1)):
@@ -201,10 +222,7 @@ def plot_episode(
     height, width = house.terrain.shape
     count = columns or (4 if width <= 1.6 * height else 3 if width <= 2.6 * height else 2)
     estimates = sum(frames.cost_to_go is not None for frames in frames_by_planner.values())
-    entries = _entries(house.terrain, "start", "robot", "subgoal", "goal")
-    entries.append(legend_patch("not seen yet", hidden_color(present_classes(house.terrain)[0])))
-    if estimates:
-        entries.append(legend_patch("not traversable", BLOCKED_COLOR))
+    entries = legend_entries(house.terrain, costs=bool(estimates))
     titles = {planner: _titles(frames, moments(frames, count)) for planner, frames in frames_by_planner.items()}
     rows = len(frames_by_planner) + estimates
     sheet = empty_sheet((height, width), rows, count + 1, entries, [title for row in titles.values() for title in row])
@@ -221,30 +239,29 @@ def plot_episode(
         name = style.label.replace(", ", ",\n")
         first[0].set_ylabel(name, fontsize=FONT, color=style.color, fontweight="bold", labelpad=3)
         for axes, frame in zip(first, chosen, strict=True):
-            robot = int(frames.pose.x[frame]), int(frames.pose.y[frame])
-            _draw_map(axes, house.terrain, frames.seen[frame], robot)
-            _draw_robot(axes, frames, frame)
+            draw_view(axes, house, frames, frame)
+            draw_robot(axes, frames, frame)
         _draw_path(sheet.panel(row, count, titles[planner][-1]), house, frames.pose)
         row += 1
         if frames.cost_to_go is not None:
-            _draw_costs([sheet.panel(row, column) for column in range(len(chosen))], house, frames, chosen, high)
+            below = [sheet.panel(row, column) for column in range(len(chosen))]
+            unit = "" if frames.in_cells else "\n(relative)"
+            below[0].set_ylabel(f"predicted\ncost-to-go{unit}", fontsize=FONT, labelpad=3)
+            for axes, frame in zip(below, chosen, strict=True):
+                draw_costs(axes, house, frames, frame, high)
+                draw_robot(axes, frames, frame)
             ground = TRAVERSABLE[house.terrain]
             _draw_cost(sheet.panel(row, count, "exact"), exact / high, ground & np.isfinite(exact), ~ground)
             row += 1
     return save_figure(sheet.figure, path, dpi=DPI)
 
 
-def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Sequence[int], high: float) -> None:
-    """Draw the costs-to-go that a planner predicted at the chosen moments, on observed ground."""
-    unit = "" if frames.in_cells else "\n(relative)"
-    panels[0].set_ylabel(f"predicted\ncost-to-go{unit}", fontsize=FONT, labelpad=3)
-    ground, share = TRAVERSABLE[house.terrain], cost_shares(frames, high)
-    for axes, frame in zip(panels, chosen, strict=True):
-        seen = frames.seen[frame]
-        _draw_cost(axes, share[frame], seen & ground, seen & ~ground)
-        if not predicts(share[frame]):
-            axes.text(0.5, 0.97, "no prediction", ha="center", va="top", transform=axes.transAxes, fontsize=FONT)
-        _draw_robot(axes, frames, frame)
+def draw_costs(axes: Axes, house: House, frames: Frames, frame: int, high: float) -> None:
+    """Draw the costs-to-go that a planner predicted before an action, on observed ground."""
+    ground, seen, share = TRAVERSABLE[house.terrain], frames.seen[frame], cost_shares(frames, high)[frame]
+    _draw_cost(axes, share, seen & ground, seen & ~ground)
+    if not predicts(share):
+        axes.text(0.5, 0.97, "no prediction", ha="center", va="top", transform=axes.transAxes, fontsize=FONT)
 
 
 def poses_along(result: EpisodeResult, house: House) -> Pose:

@@ -265,10 +265,6 @@ def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
     return save_figure(figure, path, dpi=200)
 
 
-#: From this cell size on, unequal numbers of pixels per cell are hard to see.
-_EVEN_PIXELS = 4
-
-
 def planner_style(name: str) -> PlannerStyle:
     """The style of a planner; a plain style for planners that are not in `PLANNER_STYLES`."""
     return planner_styles([name])[name]
@@ -284,11 +280,6 @@ def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) 
     """Class colors where observed, a pale version of them elsewhere; RGB from 0 to 1."""
     colors = FIGURE_RGB[terrain] / 255
     return np.where(seen[..., None], colors, colors * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
-
-
-def whole_pixels(inches: float, dpi: int) -> float:
-    """The side of a cell in inches, rounded down to whole pixels so that cells look alike; unchanged if very small."""
-    return math.floor(inches * dpi) / dpi if inches * dpi >= _EVEN_PIXELS else inches
 
 
 def legend_patch(label: str, color: ColorType) -> Patch:

@@ -1,6 +1,8 @@
-"""The figure of an object search: moments side by side, on the true map, the robot's map and its costs."""
+"""The figure of an object search, and its animation: moments on the true map, the robot's map and its costs."""
 
-from collections.abc import Sequence
+import dataclasses
+import functools
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,6 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt32
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
@@ -18,6 +21,8 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
 
 from dc2g_jax._src.figures._sheets import DPI, FONT, cell_rim
+from dc2g_jax._src.figures._video import Picture
+from dc2g_jax._src.figures.animation import write_animation
 from dc2g_jax._src.figures.costs import end_of_colors
 from dc2g_jax._src.figures.driving_figures import ROBOT_ARROW
 from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, save_figure
@@ -40,6 +45,9 @@ _FLOOR, _WALL, PATH_COLOR, ROBOT_COLOR, TARGET_COLOR, _PLANS = (
 
 #: Space beside the panels, and above and below them, inches; margin around the house, meters.
 _BESIDE, _AROUND, _MARGIN = 0.55, 1.35, 0.3
+
+#: Pixels of an animation: longer side of a panel, and space above the panels; and pixels per inch.
+_ROOM, _TITLES, _SCREEN_DPI = 380, 46, 110
 
 ROWS = ("true map", "robot's map", "cost map")
 
@@ -66,13 +74,14 @@ class SearchMoment(NamedTuple):
     plans: Float[np.ndarray, "k t 2"]
 
 
-class RecordedSearch(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class RecordedSearch:
     """A search for an object, with the moments to show.
 
     Attributes:
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `search_indoors.search.agent.IndoorRobot`, from step 0 on.
+      track: the robot's track, see `search_indoors.search.searches.IndoorRobot`, from step 0 on.
       moments: moments of the search in order, at least one.
     """
 
@@ -91,12 +100,18 @@ class RecordedSearch(NamedTuple):
         """Cells of the wanted object."""
         return np.asarray(self.world.classes) == self.target
 
-    @property
+    @functools.cached_property
+    def rim(self) -> Float[np.ndarray, "lines 2 2"]:
+        """Lines around the wanted object, one cell away from it: x and y of both ends, meters."""
+        around = cv2.dilate(np.pad(self.wanted, 2).astype(np.uint8), np.ones((3, 3))) > 0
+        return (np.array(cell_rim(around)) - 1.5) * (self.size, -self.size)
+
+    @functools.cached_property
     def true_map(self) -> UInt8[np.ndarray, "h w 3"]:
         """Colors of the house."""
         return map_image(*(np.asarray(cells) for cells in (self.world.classes, self.world.free, self.world.walls)))
 
-    @property
+    @functools.cached_property
     def extent(self) -> tuple[float, float, float, float]:
         """Smallest and largest x, then y, of the house with its margin, meters."""
         rows, columns = np.nonzero(np.asarray(self.world.free | self.world.obstacle))
@@ -104,7 +119,7 @@ class RecordedSearch(NamedTuple):
         left, right, bottom, top = (float(edge * self.size) for edge in (*x, *y))
         return left - _MARGIN, right + _MARGIN, bottom - _MARGIN, top + _MARGIN
 
-    @property
+    @functools.cached_property
     def highest(self) -> float:
         """The cost at the end of the colors, meters: nearly all costs in the panels are lower."""
         left, right, bottom, top = self.extent
@@ -150,38 +165,68 @@ def plot_search(path: str | Path, search: RecordedSearch) -> list[Path]:
     Returns:
       The files written: PNG, SVG and PDF.
     """
-    moments, track, size, high = search.moments, search.track, search.size, search.highest
-    left, right, bottom, top = search.extent
+    moments, (left, right, bottom, top) = search.moments, search.extent
     panel = (PAGE_WIDTH - _BESIDE) / len(moments)
     height = 3 * min(panel, 2.2) * (top - bottom) / (right - left) + _AROUND
     figure = Figure(figsize=(PAGE_WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
     panels = figure.subplots(3, len(moments), squeeze=False, sharex=True, sharey=True)
-    house, rim = search.true_map, rim_of(search.wanted, size)
-    for (true, own, costs), moment in zip(panels.T, moments, strict=True):
-        x, y, yaw = (float(value) for value in track[moment.step, :3])
-        true.set_title(f"step {moment.step}\n{moment.doing}", fontsize=FONT, pad=3)
-        _show(true, house, (0, 0), size)
-        true.add_collection(LineCollection(list(rim), colors=TARGET_COLOR, linewidths=0.9, capstyle="projecting"))
-        true.plot(*track[: moment.step + 1, :2].T, color=PATH_COLOR, linewidth=1.3)
-        _show(own, robots_map(moment.cells), moment.origin, size)
-        _show(costs, cost_image(moment.costs, high), moment.corner, size)
-        costs.add_collection(LineCollection(list(moment.plans), colors=_PLANS, linewidths=0.3, alpha=0.35))
-        arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=yaw)
-        for axes in (true, own, costs):
-            axes.plot(
-                x, y, marker=arrow, color=ROBOT_COLOR, markeredgecolor="white", markeredgewidth=0.4, markersize=6.5
-            )
+    for column, moment in zip(panels.T, moments, strict=True):
+        column[0].set_title(f"step {moment.step}\n{moment.doing}", fontsize=FONT, pad=3)
+        _draw(column, search, moment)
     for axes, name in zip(panels[:, 0], ROWS, strict=True):
         axes.set_ylabel(name, fontsize=FONT)
-    for axes in panels.flat:
-        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
-        axes.spines[:].set(color="#888888", linewidth=0.5)
-    _cost_bar(figure, high, panels[2], aspect=45, shrink=0.5)
+    _cost_bar(figure, search.highest, panels[2], aspect=45, shrink=0.5)
     figure.legend(
         handles=_legend(np.asarray(search.world.classes), search.target), loc="outside lower center", ncols=7,
         fontsize=FONT, frameon=False, handlelength=1.3, columnspacing=1.3,
     )  # fmt: skip
     return save_figure(figure, path, DPI)
+
+
+def _draw(panels: Iterable[Axes], search: RecordedSearch, moment: SearchMoment) -> None:
+    """Draw a moment of a search on three panels, those of `ROWS`."""
+    true, own, costs = panels
+    track, size, (left, right, bottom, top) = search.track, search.size, search.extent
+    x, y, yaw = (float(value) for value in track[moment.step, :3])
+    _show(true, search.true_map, (0, 0), size)
+    rim = LineCollection(list(search.rim), colors=TARGET_COLOR, linewidths=0.9, capstyle="projecting")
+    true.add_collection(rim)
+    true.plot(*track[: moment.step + 1, :2].T, color=PATH_COLOR, linewidth=1.3)
+    _show(own, robots_map(moment.cells), moment.origin, size)
+    _show(costs, cost_image(moment.costs, search.highest), moment.corner, size)
+    costs.add_collection(LineCollection(list(moment.plans), colors=_PLANS, linewidths=0.3, alpha=0.35))
+    arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=yaw)
+    for axes in (true, own, costs):
+        axes.plot(x, y, marker=arrow, color=ROBOT_COLOR, markeredgecolor="white", markeredgewidth=0.4, markersize=6.5)
+        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+        axes.spines[:].set(color="#888888", linewidth=0.5)
+
+
+def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[Picture]:
+    """Pictures of some moments of a search: RGB, of equal size, with an even width and height."""
+    left, right, bottom, top = search.extent
+    scale = _ROOM / max(right - left, top - bottom)
+    width, height = (2 * round(length / 2) for length in (3 * scale * (right - left), scale * (top - bottom) + _TITLES))
+    figure = Figure(figsize=(width / _SCREEN_DPI, height / _SCREEN_DPI), dpi=_SCREEN_DPI)
+    canvas = FigureCanvasAgg(figure)
+    for number in numbers:
+        moment = search.moments[number]
+        figure.clear()
+        panels = figure.subplots(1, 3, gridspec_kw={
+            "left": 0.01, "right": 0.99, "bottom": 0.01, "top": 1 - _TITLES / height, "wspace": 0.03
+        })  # fmt: skip
+        _draw(panels, search, moment)
+        lines = (f"step {moment.step}: {moment.doing}", f"target: {OBJECT_CLASSES[search.target]}", "")
+        for axes, name, line in zip(panels, ROWS, lines, strict=True):
+            axes.set_title(f"{name}\n{line}", fontsize=FONT)
+        canvas.draw()
+        yield np.array(canvas.buffer_rgba())[..., :3]
+
+
+def animate_search(path: str | Path, search: RecordedSearch) -> Path:
+    """Write an animation of a search, see `search_pictures`, as `figures.animation.write_animation` does."""
+    paint = functools.partial(search_pictures, search)
+    return write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
 
 
 def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[Path]:
@@ -221,12 +266,6 @@ def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[P
 def cost_image(costs: Float[np.ndarray, "h w"], high: float) -> Float[np.ndarray, "h w 4"]:
     """Colors of costs up to `high`; transparent where infinite."""
     return _COSTS(costs / high) * np.isfinite(costs)[..., None]
-
-
-def rim_of(cells: Bool[np.ndarray, "h w"], size: float) -> Float[np.ndarray, "lines 2 2"]:
-    """Lines around cells, one cell away from them: x and y of both ends, meters."""
-    around = cv2.dilate(np.pad(cells, 2).astype(np.uint8), np.ones((3, 3))) > 0
-    return (np.array(cell_rim(around)) - 1.5) * (size, -size)
 
 
 def _cost_bar(figure: Figure, high: float, panels: Any, **options: Any) -> None:

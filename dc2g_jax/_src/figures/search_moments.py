@@ -12,8 +12,8 @@ from dc2g_jax._src.figures._sheets import spread
 from dc2g_jax._src.figures.search_figures import PredictedMap, SearchMoment
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.maps.mapping import square, window
-from dc2g_jax._src.search_indoors.search.agent import MPC, Agent, cost_of_pose, observed
-from dc2g_jax._src.search_indoors.search.guides import PredictedCosts, TrueCost
+from dc2g_jax._src.search_indoors.search.agent import Agent, cost_of_pose, weighed
+from dc2g_jax._src.search_indoors.search.guides import predicted_costs, true_costs
 from dc2g_jax._src.search_indoors.search.searches import (
     IndoorRobot,
     IndoorSite,
@@ -60,8 +60,8 @@ def _sampled_plans(robot: IndoorRobot, agent: Agent) -> tuple[Float[Array, "k h 
     """Paths of the plans that the controller samples for the robot's next period, and whether it follows them."""
     _, key = jax.random.split(robot.key)
     costs = cost_of_pose(robot, agent)
-    plan, samples = MPC().weighed(key, robot, costs, agent)
-    return samples.path.position, jnp.allclose(plan, agent.steering.plan(key, robot, costs, agent), atol=1e-3)
+    plan, samples = weighed(key, robot, costs, agent)
+    return samples.path.position, jnp.allclose(plan, agent.steering(key, robot, costs, agent), atol=1e-3)
 
 
 def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
@@ -82,22 +82,12 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 
 @jit
-def prediction_at(
-    robot: IndoorRobot, site: IndoorSite, truth: TrueCost, agent: Agent, costs: PredictedCosts
-) -> PredictedMap:
-    """What a network predicts for a robot's local map, and the truth there.
-
-    Args:
-      robot: the robot.
-      site: the house.
-      truth: the guide that knows the house.
-      agent: components of the robot.
-      costs: the prediction.
-    """
-    side, seen = agent.mapping.local, observed(robot, picture(robot, site))
+def prediction_at(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> PredictedMap:
+    """What an agent's network predicts for its local map, and the truth there by the agent's true distances."""
+    side = agent.mapping.local
     free = square(site.free, robot.local_middle - side // 2, side, False)
-    true = truth.guide(robot.key, seen, agent).distance
-    predicted = costs.of(seen, agent)
+    true = true_costs(robot, None, agent).distance
+    predicted = predicted_costs(robot, picture(robot, site), agent)
     return PredictedMap(
         cells=window(robot.map, robot.local_middle, side),
         occupied=jnp.isinf(predicted),

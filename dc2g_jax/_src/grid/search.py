@@ -4,7 +4,6 @@ A wavefront is a pose set that grows by one action per step. The work of a searc
 times the number of words in the map. Batch axes come last, see `grid.bitboard`.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -170,61 +169,66 @@ def first_headings(
     return _search(start, active, free, 1, (x, y), there)[0]
 
 
-#: Base-2 logarithm of the wavefront steps between changes of the high planes.
-_LOW_BITS = 4
+#: Wavefront steps between checks whether all is found.
+_STEPS_BETWEEN_CHECKS = 8
 
 
-def _count(pose: Pose, free: Board) -> tuple[PoseSet, PoseSet, UInt32[Array, "bit heading n_words h *batch"]]:
-    """Bit-sliced distances from a pose in actions, counted while the wavefront grows.
+def _count(
+    pose: Pose, free: Board, wanted: PoseSet, counted: Callable[[PoseSet], Array]
+) -> tuple[PoseSet, UInt32[Array, "bit ..."]]:
+    """Find poses in the order of their distance from a pose, and count the steps to them, bit-sliced.
 
-    A step adds one to the count of every pose not yet reached. Consecutive numbers differ in one bit of Gray code, so
-    adding one is an exclusive or with one plane: usually a low plane, now and then a high plane.
+    A step of the wavefront adds one to the count of all that is not yet found. Consecutive numbers differ in one bit of
+    Gray code, so adding one is an exclusive or with one plane.
+
+    Args:
+      pose: where the wavefront begins.
+      free: cells that it may cover.
+      wanted: poses to find.
+      counted: what has a count of its own: maps a pose set to itself or to its cells. Only the first poses of each are
+        found.
 
     Returns:
-      The pose at distance 0; the poses with a distance; and the distance minus one in Gray code, highest bit first.
-      Each plane holds the poses whose code has that bit.
+      The poses that were found; and the steps to them, beyond the first, in Gray code, highest bit first. Each plane
+      holds those whose code has that bit, and nothing else.
     """
-    n_words, height = free.shape[:2]
-    start = only(pose, n_words, height) & free
-    high_bits = _pose_count(free).bit_length() - _LOW_BITS
+    start = only(pose, *free.shape[:2]) & free
 
-    def flipped(planes: Array, plane: Array, flips: PoseSet) -> Array:
-        index = jax.lax.broadcasted_iota(jnp.int32, planes.shape, 0)
-        return planes ^ jnp.where(index == plane, flips, jnp.uint32(0))
-
-    def trailing_ones(number: Array) -> Array:
-        return jax.lax.population_count(number & ~(number + 1))
-
-    def grow(number: Array, carry: tuple[PoseSet, Array]) -> tuple[PoseSet, Array]:
-        reached, low = carry
+    def grow(_: Any, carry: tuple[PoseSet, PoseSet, Array, Array]) -> tuple[PoseSet, PoseSet, Array, Array]:
+        reached, found, planes, number = carry
         reached = poses.grown(reached, free)
-        return reached, flipped(low, trailing_ones(number), ~reached)
+        found = found | wanted & reached & ~counted(found)
+        bit = jax.lax.population_count(number & ~(number + 1))  # the one that differs in the next number
+        plane = jax.lax.dynamic_index_in_dim(planes, bit, 0, keepdims=False)
+        planes = jax.lax.dynamic_update_index_in_dim(planes, plane ^ ~counted(found), bit, 0)
+        return reached, found, planes, number + 1
 
-    def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
-        before, low, high, rounds, _ = carry
-        reached, low = repeated(2**_LOW_BITS, grow, (before, low))
-        # The last of these steps flips a high bit instead of a low one.
-        high = flipped(high, trailing_ones(rounds), ~reached)
-        return reached, low, high, rounds + 1, jnp.any(reached != before)
+    def grow_some(carry: tuple[Any, Array]) -> tuple[Any, Array]:
+        search = repeated(_STEPS_BETWEEN_CHECKS, grow, carry[0])
+        missing = jnp.any(counted(wanted) & ~counted(search[1]))
+        return search, missing & jnp.any(search[0] != carry[0][0])
 
-    low, high = (jnp.zeros((bits, *start.shape), jnp.uint32) for bits in (_LOW_BITS, high_bits))
-    first = start, low, high, jnp.int32(0), jnp.bool_(True)
-    reached, low, high, _, _ = until(lambda carry: ~carry[-1], grow_a_round, first, most=_pose_count(free) + 1)
-    return start, reached, jnp.concatenate([low, high])[::-1]
+    found = start & wanted
+    planes = jnp.zeros((_pose_count(free).bit_length(), *counted(found).shape), jnp.uint32)
+    first = (start, found, planes, jnp.int32(0)), jnp.any(wanted)
+    (_, found, planes, _), _ = until(lambda carry: ~carry[1], grow_some, first, most=_pose_count(free) + 1)
+    return found, planes[::-1] & counted(found)
+
+
+def _decoded(planes: UInt32[Array, "bit ..."], unpack: Callable[[Array], Array]) -> Int[Array, "..."]:
+    """The numbers whose bits in Gray code are these planes, highest bit first."""
+    binary, number = jnp.uint32(0), jnp.int32(0)
+    for plane in planes:
+        binary = binary ^ plane
+        number = 2 * number + unpack(binary)
+    return number
 
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
     """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
-    start, reached, planes = _count(pose, free)
-
-    def read(carry: tuple[Array, Array], plane: PoseSet) -> tuple[tuple[Array, Array], None]:
-        lengths, binary = carry
-        binary = binary ^ plane
-        return (2 * lengths + poses.unpack(binary, width), binary), None
-
-    zero = jnp.zeros((HEADINGS, free.shape[1], width, *free.shape[2:]), jnp.int32)
-    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(start)), planes)
-    lengths = jnp.where(poses.unpack(start, width), 0, lengths + 1)
+    reached, planes = _count(pose, free, poses.every_heading(free), lambda found: found)
+    lengths = _decoded(planes, lambda plane: poses.unpack(plane, width)) + 1
+    lengths = jnp.where(poses.unpack(only(pose, *free.shape[:2]), width), 0, lengths)
     return jnp.where(poses.unpack(reached, width), lengths, -1)
 
 
@@ -240,30 +244,10 @@ def nearest_headings(
       width: columns of the map.
 
     Returns:
-      The nearest candidates of every cell, and their distance in actions. The distance is undefined on cells without
-      candidates.
+      The nearest candidates of every cell, and their distance in actions; 1 on cells without candidates.
     """
-    _, reached, planes = _count(pose, free)
-
-    def compare(carry: tuple[PoseSet, PoseSet], plane: PoseSet) -> tuple[tuple[PoseSet, PoseSet], Board]:
-        nearest, binary = carry
-        binary = binary ^ plane
-        # From the highest bit to the lowest: where one candidate has a zero, candidates with a one are farther.
-        without = nearest & ~binary
-        some_without = poses.occupied(without)
-        return (nearest & ~(binary & some_without), binary), ~some_without
-
-    start = (candidates & reached, jnp.zeros_like(candidates))
-    (nearest, _), cell_planes = jax.lax.platform_dependent(
-        start,
-        planes,
-        cpu=functools.partial(jax.lax.scan, compare),
-        default=functools.partial(jax.lax.scan, compare, unroll=True),
-    )
-    lengths = jnp.int32(0)
-    for plane in cell_planes:
-        lengths = 2 * lengths + bitboard.unpack(plane, width)
-    return nearest, lengths + 1
+    nearest, planes = _count(pose, free, candidates, poses.occupied)
+    return nearest, _decoded(planes, lambda plane: bitboard.unpack(plane, width)) + 1
 
 
 #: Moves between cells, `(dx, dy)`: the four a robot can make, and the eight of the paper's cost-to-go images.

@@ -7,7 +7,6 @@ is its parent. Batch axes come last, see `grid.bitboard`.
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 
 import jax
@@ -82,25 +81,43 @@ class Kernel:
         """
         del opaque
         (height, *batch), radius = targets.shape[1:], self.radius
-        frame = [(radius, radius), (radius, radius), *((0, 0) for _ in batch)]
+        frame = [(radius + 1, radius), (radius, radius), *((0, 0) for _ in batch)]
         framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
-        # All robots in one row, so that a few of them fill a vector. Without the barrier, a GPU would unpack every cell
-        # again for each offset.
-        robots = math.prod(batch)
-        rows = jax.lax.optimization_barrier(framed.reshape(height + 2 * radius, -1))
+        # A run of offsets down a column is the difference of two sums, exact although small integers overflow. Without
+        # the barrier, a GPU would compute the sums again for each offset.
+        sums = jax.lax.optimization_barrier(jax.lax.platform_dependent(framed, cpu=_row_by_row, default=_sums_of_rows))
 
-        def counted(offsets: tuple[tuple[int, int], ...], rows: Array) -> Array:
-            # Many small integers fit into a vector: this is faster than sharing work between neighboring cells.
-            views = (rows[radius + dy :, robots * (radius + dx) :][:height, : robots * width] for dx, dy in offsets)
-            return functools.reduce(jnp.add, views)
+        def counted(runs: list[tuple[int, int, int]], sums: Array) -> Array:
+            def until(dx: int, dy: int) -> Array:
+                return sums[radius + 1 + dy :, radius + dx :][:height, :width]
 
-        counts = [apart(functools.partial(counted, offsets), rows) for offsets in self.offsets]
-        return jnp.stack(counts).reshape(HEADINGS, height, width, *batch)
+            return functools.reduce(jnp.add, [until(dx, last) - until(dx, first - 1) for dx, first, last in runs])
+
+        return jnp.stack([apart(functools.partial(counted, _runs(offsets)), sums) for offsets in self.offsets])
 
     @property
     def _count(self) -> type:
         """The integer type that can count the cells in view."""
         return jnp.uint8 if max(map(len, self.offsets)) < 256 else jnp.uint16
+
+
+def _runs(offsets: tuple[tuple[int, int], ...]) -> list[tuple[int, int, int]]:
+    """Runs of offsets down the columns: dx, and the first and last dy."""
+    runs: list[tuple[int, int, int]] = []
+    for dx, dy in sorted(offsets):
+        first = runs.pop()[1] if runs and runs[-1][::2] == (dx, dy - 1) else dy
+        runs.append((dx, first, dy))
+    return runs
+
+
+def _sums_of_rows(rows: Array) -> Array:
+    """The sum of each row and all rows above, in the type of the rows."""
+    return jnp.cumsum(rows, axis=0, dtype=rows.dtype)
+
+
+def _row_by_row(rows: Array) -> Array:
+    """The same, faster on a CPU."""
+    return jax.lax.scan(lambda above, row: (above + row,) * 2, jnp.zeros_like(rows[0]), rows)[1]
 
 
 @dataclasses.dataclass(frozen=True)

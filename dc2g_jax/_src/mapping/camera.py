@@ -120,13 +120,7 @@ def rays(intrinsics: Intrinsics, pose: CameraPose) -> Float[Array, "h w 3"]:
 
 
 def points(frame_depth: Float[Array, "h w"], intrinsics: Intrinsics, pose: CameraPose) -> Float[Array, "h w 3"]:
-    """The point in the world that each pixel shows, meters.
-
-    Args:
-      frame_depth: depth along the optical axis, meters. A pixel without return (0) gives the camera's position.
-      intrinsics: intrinsics of the camera.
-      pose: pose of the camera.
-    """
+    """The point in the world that each pixel shows, meters; the camera's position where depth is 0, without return."""
     return frame_depth[..., None] * rays(intrinsics, pose) + pose.position
 
 

@@ -135,28 +135,12 @@ def _blob(
     return near & (classes == here) & happens, _wrong(wrong_key, here)
 
 
-@struct.dataclass
-class PoseDrift:
-    """Error of a robot's pose estimate.
-
-    Attributes:
-      x: meters.
-      y: meters.
-      yaw: counter-clockwise, radians.
-    """
-
-    x: Float[Array, ""]
-    y: Float[Array, ""]
-    yaw: Float[Array, ""]
-
-
-def no_drift() -> PoseDrift:
-    """The drift of a perfect pose estimate: zero."""
-    return PoseDrift(x=jnp.float32(0), y=jnp.float32(0), yaw=jnp.float32(0))
+#: Error of a robot's pose estimate: x and y, meters, and yaw, counter-clockwise, radians. At first it is zero.
+PoseDrift = Float[Array, "3"]
 
 
 def drift_on(key: Key[Array, ""], drift: PoseDrift, levels: NoiseLevels, moved: ArrayLike = 1.0) -> PoseDrift:
-    """The drift after a motion: a random walk in x, y and yaw.
+    """The drift after a motion: a random walk.
 
     Args:
       key: random key.
@@ -164,20 +148,17 @@ def drift_on(key: Key[Array, ""], drift: PoseDrift, levels: NoiseLevels, moved: 
       levels: noise levels.
       moved: the motion: meters driven plus quarter turns.
     """
-    x, y, yaw = jnp.sqrt(moved) * jax.random.normal(key, (3,))
-    return PoseDrift(
-        x=drift.x + levels.position_drift * x,
-        y=drift.y + levels.position_drift * y,
-        yaw=drift.yaw + levels.yaw_drift * yaw,
-    )
+    spread = jnp.array([levels.position_drift, levels.position_drift, levels.yaw_drift], jnp.float32)
+    return drift + spread * (jnp.sqrt(moved) * jax.random.normal(key, (3,)))
 
 
 def drifted(pose: CameraPose, drift: PoseDrift) -> CameraPose:
     """The estimated pose of a camera at `pose`: rotated about the vertical axis in place, then translated."""
-    along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
+    x, y, yaw = drift
+    along, across = jnp.cos(yaw), jnp.sin(yaw)
     # Written out because GPUs round matrix products to fewer bits.
     east, north, up = pose.rotation
     return CameraPose(
-        position=pose.position + jnp.stack([drift.x, drift.y, jnp.zeros_like(drift.x)]),
+        position=pose.position + jnp.stack([x, y, jnp.zeros_like(x)]),
         rotation=jnp.stack([along * east - across * north, across * east + along * north, up]),
     )

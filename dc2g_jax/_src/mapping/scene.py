@@ -23,7 +23,6 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 from scipy import ndimage
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR
 
 #: Side of a cell, meters. The paper does not give one. In the published training and validation images a parked car is
@@ -89,15 +88,7 @@ def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CEL
     Args:
       terrain: class index of every cell.
       cell_size: side of a cell, meters.
-
-    Raises:
-      InputError: the map is empty or has invalid class indices, or the cell size is not positive.
     """
-    if terrain.size == 0 or int(terrain.max()) >= len(CLASS_NAMES):
-        found = f"the number {terrain.max()}" if terrain.size else "no cells"
-        raise InputError(f"terrain has {found}; give a grid of class indices from 0 to {len(CLASS_NAMES) - 1}")
-    if not (math.isfinite(cell_size) and cell_size > 0):
-        raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {CELL_SIZE}")
     classes = terrain.repeat(TILES, axis=0).repeat(TILES, axis=1)
     heights = np.zeros(classes.shape)
     for shape in set(SHAPES.values()):
@@ -107,13 +98,7 @@ def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CEL
 
 
 def scene_from_heights(heights: Float[np.ndarray, "h w"], classes: UInt8[np.ndarray, "h w"], tile_size: float) -> Scene:
-    """The scene of tiles with the given heights.
-
-    Args:
-      heights: heights of the tiles above the ground, meters, not negative.
-      classes: class index of every tile.
-      tile_size: side of a tile, meters.
-    """
+    """The scene of tiles with the given heights above the ground, meters, none negative."""
     clearance = _distance(heights == 0) - 1
     return Scene(
         field=jnp.asarray(np.where(heights > 0, heights, -clearance), jnp.float32),

@@ -118,9 +118,10 @@ def empty_map(settings: MapSettings) -> SemanticMap:
     """A map without observations.
 
     Raises:
-      InputError: a setting is out of range.
+      InputError: it would have too many voxels.
     """
-    _check_settings(settings)
+    if math.prod(settings.shape) > _MOST_VOXELS:
+        raise InputError(f"a map of {settings.shape} has more than {_MOST_VOXELS} voxels; make them larger or fewer")
     return SemanticMap(
         log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8),
         votes=jnp.zeros(settings.shape, _VOTES),
@@ -138,12 +139,6 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
     Pixels without return are skipped, as are pixels whose depth is negative, not finite or out of reach. Points off the
     map are dropped. A pixel without label (0, or an invalid class index) marks a voxel as occupied without a vote for a
     class.
-
-    Args:
-      semantic_map: the map so far.
-      frame: depth, classes and pose of the camera.
-      intrinsics: intrinsics of the camera.
-      settings: the settings with which the map was made.
 
     Raises:
       InputError: the sizes of frame, intrinsics and settings do not match.
@@ -280,19 +275,22 @@ def _winner(counts: Int32[Array, "class *shape"]) -> tuple[UInt8[Array, "*shape"
     return (last - (best & last)).astype(jnp.uint8), best > last
 
 
-def _check_settings(settings: MapSettings) -> None:
-    """Reject invalid settings."""
-    for name in ("rows", "columns", "levels"):
-        value = getattr(settings, name)
-        if not (isinstance(value, int | np.integer) and value > 0):
-            raise InputError(f"{name} is {value!r}; give a whole number above 0")
-    if math.prod(settings.shape) > _MOST_VOXELS:
-        raise InputError(f"a map of {settings.shape} has more than {_MOST_VOXELS} voxels; make them larger or fewer")
-    for name in ("cell_size", "level_height", "reach"):
-        value = getattr(settings, name)
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value!r}; give meters, above 0")
-    for name in ("inset", "clearance"):
-        value = getattr(settings, name)
-        if not (math.isfinite(value) and value >= 0):
-            raise InputError(f"{name} is {value!r}; give meters, 0 or more")
+def check_frame(frame: Frame, settings: MapSettings) -> None:
+    """Check values of a frame that `integrate` would skip without a word. Runs on the host.
+
+    Raises:
+      InputError: the camera is not above the map, or a class does not exist.
+    """
+    x, y, z = np.asarray(frame.pose.position).tolist()
+    east, south = settings.columns * settings.cell_size, settings.rows * settings.cell_size
+    if not (0 <= x <= east and -south <= y <= 0 and z > 0):
+        raise InputError(
+            f"the camera is at x {x:g}, y {y:g}, z {z:g}, not above the ground of the map, x 0 to {east:g} and y "
+            f"{-south:g} to 0; give meters in the map's frame, whose y is 0 above the first row and ground z = 0"
+        )
+    classes = np.asarray(frame.classes)
+    for row, column in np.argwhere(classes >= len(CLASS_NAMES))[:1]:
+        raise InputError(
+            f"classes[{row}, {column}] is {classes[row, column]}; give class indices from 0 (no label) to "
+            f"{len(CLASS_NAMES) - 1}, see dc2g_jax._src.grid.terrain.CLASS_NAMES"
+        )

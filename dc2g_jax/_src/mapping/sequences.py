@@ -31,14 +31,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
+from scipy.spatial.transform import Rotation
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax._src.files.png import MOST_PIXELS, read_png, write_png
 from dc2g_jax._src.files.reading import TEXT, finite_number, read_bytes, read_text
-from dc2g_jax._src.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
-from dc2g_jax._src.mapping.checks import check_intrinsics
 from dc2g_jax._src.mapping.semantic_map import MapSettings
 
 #: Units of a depth image per meter.
@@ -54,11 +53,11 @@ POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
 #: Largest coordinate of a camera, meters: single precision holds it to one meter.
 _FARTHEST = 1e7
 
+#: A shorter quaternion is rejected as zero.
+_SHORTEST = 1e-6
+
 #: Most cells of a map that covers a recording.
 MOST_CELLS = 2**24
-
-#: Largest number of shots per second: times are written in microseconds.
-_HIGHEST_RATE = 100_000
 
 _LIST_FIELDS = ("time", "file")
 _POSE_FIELDS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
@@ -110,12 +109,8 @@ class Shot(NamedTuple):
     picture: UInt8[np.ndarray, "h w 3"] | None = None
 
 
-def read_sequence(folder: str | Path, tolerance: float = _TOLERANCE) -> ImageSequence:
+def read_sequence(folder: str | Path) -> ImageSequence:
     """Read the lists of a recording and match their entries by time.
-
-    Args:
-      folder: folder of the recording.
-      tolerance: largest time difference of a class image, color image or pose to its depth image, seconds.
 
     Raises:
       InputError: a list or `camera.txt` is missing or invalid, or no depth image has both a class image and a pose near
@@ -130,12 +125,12 @@ def read_sequence(folder: str | Path, tolerance: float = _TOLERANCE) -> ImageSeq
     poses = _read_poses(folder / POSE_LIST)
     moments = []
     for time, file in depth:
-        class_file, picture, pose = (_nearest(listed, time, tolerance) for listed in (classes, pictures, poses))
+        class_file, picture, pose = (_nearest(listed, time) for listed in (classes, pictures, poses))
         if class_file is not None and pose is not None:
             moments.append(_FrameFiles(time, file, class_file, picture, pose))
     if not moments:
         raise InputError(
-            f"{folder}: none of its {len(depth)} depth images has a class image and a pose within {tolerance:g} "
+            f"{folder}: none of its {len(depth)} depth images has a class image and a pose within {_TOLERANCE:g} "
             f"s; compare the times in {DEPTH_LIST}, {CLASS_LIST} and {POSE_LIST}"
         )
     palette = read_palette(folder / PALETTE_FILE) if (folder / PALETTE_FILE).exists() else None
@@ -214,8 +209,8 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
     return moved(sequence, offset), MapSettings(rows=rows, columns=columns, cell_size=cell_size, reach=reach)
 
 
-def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[Shot], rate: float = 10.0) -> Path:
-    """Write a recording that `read_sequence` reads. Depth is stored to within 0.1 mm.
+def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[Shot]) -> Path:
+    """Write a recording of ten shots a second that `read_sequence` reads. Depth is stored to within 0.1 mm.
 
     Shots are consumed one by one. If writing is interrupted, the recording so far stays readable.
 
@@ -223,18 +218,13 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
       folder: folder to write to; new or empty.
       intrinsics: intrinsics of the camera.
       shots: shots in temporal order. Depth that 16 bits cannot hold (13.107 m and more, or not finite) becomes 0.
-      rate: shots per second, above 0, at most 100,000.
 
     Returns:
       The folder.
 
     Raises:
-      InputError: the folder is not empty or cannot be made, the intrinsics are invalid, a shot's images do not have the
-        camera's size, or the rate is out of range.
+      InputError: the folder is not empty or cannot be made, or a shot's images do not have the camera's size.
     """
-    check_intrinsics(intrinsics)
-    if not 0 < rate <= _HIGHEST_RATE:
-        raise InputError(f"{rate} shots a second: give a number above 0, at most {_HIGHEST_RATE:,}")
     folder = Path(folder)
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -246,7 +236,7 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
     (folder / CAMERA_FILE).write_text(f"# {' '.join(_CAMERA_FIELDS)}\n{' '.join(f'{n:.9g}' for n in numbers)}\n")
     for number, shot in enumerate(shots):
         check_shapes(shot.frame, intrinsics)
-        for name, line in _write_shot(folder, f"{number / rate:.6f}", shot).items():
+        for name, line in _write_shot(folder, f"{number / 10:.6f}", shot).items():
             header = f"# {' '.join(_POSE_FIELDS if name == POSE_LIST else _LIST_FIELDS)}\n"
             with (folder / name).open("a") as file:
                 file.write(f"{line}\n" if file.tell() else f"{header}{line}\n")
@@ -270,19 +260,19 @@ def _write_shot(folder: Path, time: str, shot: Shot) -> dict[str, str]:
         (folder / kind).mkdir(exist_ok=True)
         write_png(folder / kind / f"{time}.png", image)
         lines[name] = f"{time} {kind}/{time}.png"
-    turn = quaternion_from_rotation(np.asarray(shot.frame.pose.rotation))
+    turn = Rotation.from_matrix(np.asarray(shot.frame.pose.rotation)).as_quat(canonical=True)
     numbers = [*np.asarray(shot.frame.pose.position).tolist(), *turn.tolist()]
     lines[POSE_LIST] = f"{time} {' '.join(f'{number:.9g}' for number in numbers)}"
     return lines
 
 
-def _nearest(listed: list[tuple[float, Any]], time: float, tolerance: float) -> Any:
+def _nearest(listed: list[tuple[float, Any]], time: float) -> Any:
     """What a list in temporal order has nearest to a time; `None` if that is too far away."""
     after = bisect.bisect_left(listed, time, key=_TIME)
     near = listed[max(after - 1, 0) : after + 1]
     when, thing = min(near, key=lambda entry: abs(entry[0] - time), default=(math.inf, None))
     # Times are decimal fractions, and their differences are not exact.
-    return thing if abs(when - time) <= tolerance + 1e-9 else None
+    return thing if abs(when - time) <= _TOLERANCE + 1e-9 else None
 
 
 def _read_list(path: Path) -> list[tuple[float, Path]]:
@@ -298,12 +288,10 @@ def _read_poses(path: Path) -> list[tuple[float, CameraPose]]:
         time, *numbers = _numbers(path, line, words)
         if max(map(abs, numbers)) > _FARTHEST:
             raise InputError(f"{path}: line {line} has {max(numbers, key=abs):g}; give meters, at most {_FARTHEST:g}")
-        try:
-            rotation = rotation_from_quaternion(np.array(numbers[3:]))
-        except InputError as error:
-            raise InputError(f"{path}: line {line}: {error}") from None
+        if not _SHORTEST < (length := float(np.linalg.norm(numbers[3:]))) < np.inf:
+            raise InputError(f"{path}: line {line} has a quaternion of length {length:g}; give one of length 1")
         position: Any = np.array(numbers[:3], np.float32)
-        turn: Any = rotation.astype(np.float32)
+        turn: Any = Rotation.from_quat(numbers[3:]).as_matrix().astype(np.float32)
         poses.append((time, CameraPose(position=position, rotation=turn)))
     return sorted(poses, key=_TIME)
 
@@ -313,19 +301,13 @@ def _read_camera(path: Path) -> Intrinsics:
     if len(lines) != 1:
         raise InputError(f"{path}: has {len(lines)} lines; give one: {' '.join(_CAMERA_FIELDS)}")
     values = dict(zip(_CAMERA_FIELDS, _numbers(path, *lines[0]), strict=True))
-    for name in ("width", "height"):
-        if not (values[name].is_integer() and abs(values[name]) <= MOST_PIXELS):
-            raise InputError(f"{path}: {name} is {values[name]:g}; give whole pixels")
-    for name in _CAMERA_FIELDS[:4]:
-        if abs(values[name]) > MOST_PIXELS:
-            raise InputError(f"{path}: {name} is {values[name]:g}; give pixels, at most {MOST_PIXELS}")
+    for name, value in values.items():
+        whole, positive = name in ("width", "height"), not name.startswith("center")
+        if abs(value) > MOST_PIXELS or (whole and not value.is_integer()) or (positive and value <= 0):
+            kind = f"{'whole ' if whole else ''}pixels, {'above 0 and ' if positive else ''}at most {MOST_PIXELS}"
+            raise InputError(f"{path}: {name} is {value:g}; give {kind}")
     lenses: dict[str, Any] = {name: jnp.float32(values[name]) for name in _CAMERA_FIELDS[:4]}
-    camera = Intrinsics(**lenses, height=int(values["height"]), width=int(values["width"]))
-    try:
-        check_intrinsics(camera)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return camera
+    return Intrinsics(**lenses, height=int(values["height"]), width=int(values["width"]))
 
 
 def _lines(path: Path, fields: tuple[str, ...] = _LIST_FIELDS) -> Iterator[tuple[int, list[str]]]:

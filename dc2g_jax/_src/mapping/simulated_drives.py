@@ -35,14 +35,7 @@ def path_to_goal(terrain: UInt8[np.ndarray, "h w"], start: Pose) -> list[Pose]:
 def simulated_shots(
     terrain: UInt8[np.ndarray, "h w"], path: Iterable[Pose], camera: Intrinsics, cell_size: float
 ) -> Iterator[Shot]:
-    """What a simulated camera sees from each pose of a path.
-
-    Args:
-      terrain: class indices of the map.
-      path: poses of the robot.
-      camera: the camera's intrinsics.
-      cell_size: side length of the map's cells, meters.
-    """
+    """What a simulated camera sees from each pose of a path on a map with cells of `cell_size` meters."""
     scene = scene_from_terrain(terrain, cell_size)
 
     @jit

@@ -32,9 +32,8 @@ from dc2g_jax._src.grid.terrain import CAR, CLASS_NAMES, HOUSE
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, level_camera, rays
 from dc2g_jax._src.mapping.scene import CELL_SIZE, SHAPES, Scene
 
-#: The default camera: horizontal field of view in degrees, rows and columns, height in meters, pitch in radians.
+#: The default camera: horizontal field of view in degrees, height in meters, pitch in radians.
 FIELD_OF_VIEW = 90.0
-IMAGE_SIZE = (120, 160)
 CAMERA_HEIGHT = 1.0
 CAMERA_PITCH = math.radians(15)
 
@@ -207,25 +206,13 @@ def classes_of(scene: Scene, hits: Hit) -> UInt8[Array, "h w"]:
 
 
 def render(scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: ArrayLike = CAMERA_RANGE) -> Frame:
-    """Render the frame of a camera without errors.
-
-    Args:
-      scene: the scene.
-      intrinsics: intrinsics of the camera.
-      pose: pose of the camera; also the pose of the frame.
-      max_range: range of the camera, meters.
-    """
+    """Render the frame of a camera with a range of `max_range` meters, without errors."""
     hits = cast_all(scene, pose, rays(intrinsics, pose), max_range)
     return Frame(depth=hits.distance, classes=classes_of(scene, hits), pose=pose)
 
 
 def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
-    """The pose of the default camera of a robot in the middle of a cell.
-
-    Args:
-      pose: column, row and heading of one robot.
-      cell_size: side of a cell, meters.
-    """
+    """The pose of the default camera of a robot in the middle of a cell of `cell_size` meters."""
     return level_camera(
         x=(pose.x + 0.5) * cell_size,
         y=-(pose.y + 0.5) * cell_size,

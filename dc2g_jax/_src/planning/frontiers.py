@@ -3,6 +3,8 @@
 There are two definitions: that of the paper's text (`complete`) and that of the authors' published code (`reference`).
 """
 
+import functools
+
 import jax.numpy as jnp
 from jaxtyping import Array, UInt
 
@@ -92,7 +94,7 @@ def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UI
       sensing: the robot's field of view.
     """
     new = sensing.count_seen(unseen(belief), belief.opaque, belief.width)
-    return jnp.max(jnp.where(poses.unpack(candidates, belief.width), new, 0), axis=0)
+    return functools.reduce(jnp.maximum, jnp.where(poses.unpack(candidates, belief.width), new, 0))
 
 
 def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
@@ -109,4 +111,4 @@ def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
     left, above = up_to_column - of_columns, up_to_row - of_rows
     ahead = jnp.stack([jnp.broadcast_to(cells, new.shape) for cells in (right, below, left, above)])
     ahead = jnp.where(poses.unpack(pose_set, belief.width), ahead, -1)
-    return pose_set & poses.pack(ahead == jnp.max(ahead, axis=0))
+    return pose_set & poses.pack(ahead == functools.reduce(jnp.maximum, ahead))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
+from dc2g_jax._src.estimation.estimators import Estimates
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
@@ -26,11 +27,13 @@ from dc2g_jax._src.planning.planners import (
     EXPLORE,
     GAVE_UP,
     TO_GOAL,
-    AssessingPlanner,
+    Ask,
+    AskingPlanner,
     Assessment,
     Frontier,
     MapRevisingPlanner,
     Plan,
+    asks,
     assess,
     memoryless,
     plan_to,
@@ -89,7 +92,7 @@ def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
 
 
 @struct.dataclass
-class Guaranteed(AssessingPlanner):
+class Guaranteed(AskingPlanner):
     """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
@@ -139,14 +142,31 @@ class Guaranteed(AssessingPlanner):
         no = jnp.zeros_like(zero, bool)
         return GuaranteedState(self.planner.init(world), shadow, taken=zero, led=no, bounded=no)
 
-    def assess(self, belief: Belief, state: GuaranteedState) -> tuple[Assessment, GuaranteedState]:
+    def look(self, belief: Belief, state: GuaranteedState) -> tuple[Bool[Array, "*batch"], Any]:
+        """What the wrapped planner looks at."""
+        if asks(self.planner):
+            return self.planner.look(belief, state.planner)
+        return jnp.zeros(belief.pose.x.shape, bool), ()
+
+    def ask(self, belief: Belief, state: GuaranteedState) -> Estimates:
+        """The answer that the wrapped planner gets, if it asks."""
+        return self.planner.ask(belief, state.planner) if asks(self.planner) else jnp.zeros((1, *belief.pose.x.shape))
+
+    def conclude(
+        self, belief: Belief, state: GuaranteedState, looked: Any, ask: Ask
+    ) -> tuple[Assessment, GuaranteedState]:
         """The wrapped planner's decision while the bound allows it; else return to the shadow, or go with it.
 
         Candidates, score and cost-to-go are the wrapped planner's; the plan is the one that is carried out. A robot
         that returns heads for the shadow's pose or a goal that it has seen, whichever is nearer. A robot at the shadow
         heads for the shadow's next pose instead.
         """
-        assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
+        if asks(self.planner):
+            assessment, planner_state = self.planner.conclude(
+                belief, state.planner, looked, lambda belief, _: ask(belief, state)
+            )
+        else:
+            assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
         shadow, bounded = self._caught_up(belief, state.shadow), state.bounded | self.where(belief)
         plan, led = self._bounded(belief, assessment.plan, state._replace(shadow=shadow, bounded=bounded))
         state = GuaranteedState(planner_state, shadow, state.taken + 1, led, bounded)
@@ -219,28 +239,36 @@ class CautiousDC2G(DC2G):
     more. Elsewhere, and without a memory, this is `DC2G`.
     """
 
-    def _is_bounded(self, world: World) -> bool:
-        """Whether there is a bound on maps of this size."""
-        return self.memory and max(world.height, world.width) > self._known_side
-
-    @property
-    def _bound(self) -> Guaranteed:
-        """The planner with its bound."""
+    def _deciding(self, bounded: bool) -> Any:
+        """`DC2G`, or its bound."""
         planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
+        if not bounded:
+            return planner
         return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town)
 
-    def init(self, world: World) -> Any:
-        """The state of `DC2G`, or of its bound."""
-        return self._bound.init(world) if self._is_bounded(world) else super().init(world)
+    def _of(self, state: Any) -> Any:
+        """The planner whose state this is."""
+        return self._deciding(isinstance(state, GuaranteedState))
 
-    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+    def init(self, world: World) -> Any:
+        """The state of `DC2G`, or of its bound on larger maps than those of the training."""
+        return self._deciding(self.memory and max(world.height, world.width) > self._known_side).init(world)
+
+    def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
+        """What `DC2G` looks at."""
+        return self._of(state).look(belief, state)
+
+    def ask(self, belief: Belief, state: Any) -> Estimates:
+        """The answer that `DC2G` gets."""
+        return self._of(state).ask(belief, state)
+
+    def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
         """Decide as `DC2G`, within the bound."""
-        return self._bound.assess(belief, state) if self._is_bounded(belief) else super().assess(belief, state)
+        return self._of(state).conclude(belief, state, looked, ask)
 
     def revised(self, state: Any, changed: Board) -> Any:
         """The state after these cells changed their class."""
-        bounded = isinstance(state, GuaranteedState)
-        return self._bound.revised(state, changed) if bounded else super().revised(state, changed)
+        return self._of(state).revised(state, changed)
 
 
 def _same(a: Pose, b: Pose) -> Bool[Array, "*batch"]:

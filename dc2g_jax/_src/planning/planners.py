@@ -11,12 +11,12 @@ static. So one compiled program serves every checkpoint of the same architecture
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeGuard, get_args
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
@@ -33,6 +33,7 @@ from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.nearby import Decided, nearby
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, Selection
+from dc2g_jax._src.programs import apart
 
 #: Plan modes.
 EXPLORE, TO_GOAL, GAVE_UP = 0, 1, 2
@@ -114,6 +115,10 @@ def memoryless(planner: Planner) -> Planner:
     return planner.memoryless() if hasattr(planner, "memoryless") else planner
 
 
+#: Gives the estimator's answer for a belief and a planner's state.
+Ask = Callable[[Belief, Any], Estimates]
+
+
 class AssessingPlanner(Planner, Protocol):
     """A planner that returns the inputs of its decisions."""
 
@@ -125,6 +130,38 @@ class AssessingPlanner(Planner, Protocol):
         """Decide the next action from what has been observed."""
         assessment, state = self.assess(belief, state)
         return assessment.plan, state
+
+
+class AskingPlanner(AssessingPlanner):
+    """A planner that asks an estimator now and then.
+
+    A rollout on a CPU runs each robot by itself until it asks, then asks for all robots together: a network needs less
+    time per map in larger batches, and everything else is faster for a single robot.
+    """
+
+    def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
+        """Whether the estimator is asked, and what else the decision depends on."""
+        raise NotImplementedError
+
+    def ask(self, belief: Belief, state: Any) -> Estimates:
+        """The estimator's answer."""
+        raise NotImplementedError
+
+    def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
+        """Decide the next action.
+
+        Args:
+          belief: what the robot knows.
+          state: state of the planner.
+          looked: the second result of `look`.
+          ask: `(belief, state) ->` the estimator's answer.
+        """
+        raise NotImplementedError
+
+    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+        """Decide the next action, and return the inputs."""
+        _, looked = self.look(belief, state)
+        return self.conclude(belief, state, looked, self.ask)
 
 
 class MapRevisingPlanner(Planner, Protocol):
@@ -176,18 +213,24 @@ def reachable_cells(belief: Belief, before: Board) -> Board:
     return bitboard.flood(robot | before, belief.traversable)
 
 
+def _depth(planner: Planner, *names: str) -> int:
+    """Position in the order of a planner's classes of the first one that defines any of these methods."""
+    classes = type(planner).__mro__
+    return next((depth for depth, kind in enumerate(classes) if not vars(kind).keys().isdisjoint(names)), len(classes))
+
+
+def asks(planner: Planner) -> TypeGuard[AskingPlanner]:
+    """Whether a planner's decisions are those of `AskingPlanner`, rather than of a subclass with its own `plan`."""
+    return isinstance(planner, AskingPlanner) and _depth(planner, "conclude") <= _depth(planner, "assess", "plan")
+
+
 def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
     """A planner's decision and its inputs.
 
     For a planner without `assess`, the candidates are those of the rules on reachable ground, and the nearest wins. The
     same holds for a subclass with its own `plan` and an inherited `assess`, which would describe another plan.
     """
-    classes = type(planner).__mro__
-    own_assess, own_plan = (
-        next((depth for depth, kind in enumerate(classes) if name in vars(kind)), len(classes))
-        for name in ("assess", "plan")
-    )
-    if own_assess <= own_plan:
+    if _depth(planner, "assess") <= _depth(planner, "plan"):
         return planner.assess(belief, state)  # type: ignore[attr-defined]
     plan, state = planner.plan(belief, state)
     reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
@@ -268,25 +311,20 @@ def any_heading(belief: Belief, nearest: PoseSet) -> PoseSet:
     return nearest
 
 
-#: Axes to mirror the map along, one tuple per view; and a function from maps to estimates.
+#: Axes to mirror the map along, one tuple per view.
 Views = tuple[tuple[int, ...], ...]
-Ask = Callable[[UInt8[Array, "h w *batch"]], Estimates]
 
 
-def in_turn(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
-    """The estimates for one view of the map, number `view`."""
-
-    def in_view(cells: Array, first: int) -> Array:
-        seen_as = cells
-        for number, axes in enumerate(views):
-            turned = jnp.flip(cells, [first + axis for axis in axes])
-            seen_as = jnp.where(view == number, turned, seen_as) if axes else seen_as
-        return seen_as
-
-    return in_view(ask(in_view(terrain, 0)), 1)
+def in_view(cells: Array, views: Views, view: Int[Array, "*batch"], first: int) -> Array:
+    """Grids whose rows are on the axis `first`, as they are in view number `view`; mirroring is its own inverse."""
+    seen_as = cells
+    for number, axes in enumerate(views):
+        turned = jnp.flip(cells, [first + axis for axis in axes])
+        seen_as = jnp.where(view == number, turned, seen_as) if axes else seen_as
+    return seen_as
 
 
-def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views) -> Estimates:
+def at_once(ask: Callable[[Array], Estimates], terrain: UInt8[Array, "h w *batch"], views: Views) -> Estimates:
     """The mean of the estimates for all views of the map. The grid may be larger than the map."""
     inside = terrain != OUTSIDE
     answers = [mirrored(ask(mirrored(terrain, axes, inside, 0)), axes, inside, 1) for axes in views]
@@ -294,7 +332,7 @@ def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views) -> Esti
 
 
 @struct.dataclass
-class DC2G(AssessingPlanner):
+class DC2G(AskingPlanner):
     """Deep Cost-to-Go (Algorithm 2): go to the frontier-expanding pose with the lowest estimated cost-to-go.
 
     Candidates are the frontier-expanding poses of the rules that reveal something when reached; if there are none, all
@@ -415,51 +453,20 @@ class DC2G(AssessingPlanner):
         return penalty
 
     def _scored(
-        self,
-        belief: Belief,
-        reachable: Board,
-        revealing: PoseSet,
-        estimate: Estimates,
-        decided_near: Int[Array, "h w *batch"],
+        self, belief: Belief, look: "Look", estimate: Estimates
     ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
         """The candidates, the score of each cell with one, and the penalty in it (Algorithm 2, lines 6 to 10)."""
-        candidates = nearest = self._candidates(belief, reachable, revealing)
+        candidates = nearest = self._candidates(belief, look.reachable, look.revealing)
         lengths = jnp.int32(0)
         if self.selection.distance_weight:
-            nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
+            nearest, lengths = search.nearest_headings(belief.pose, candidates, look.reachable, belief.width)
             nearest = self.headings(belief, nearest)
         cost = self.selection(estimate, lengths)
-        penalty = self._penalty(belief, candidates, decided_near)
+        penalty = self._penalty(belief, candidates, look.decided_near)
         return nearest, cost + penalty, penalty
 
-    def _choose(
-        self, inputs: tuple[Belief, Board, PoseSet, Int[Array, "h w *batch"], Any], before: "Choice"
-    ) -> "Choice":
-        """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
-        belief, reachable, revealing, decided_near, estimator_state = inputs
-        choice = self._estimated(belief, estimator_state, before)
-        candidates, score, _ = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
-        return choice._replace(subgoals=_lowest(score, candidates, belief.width))
-
-    def _estimated(self, belief: Belief, estimator_state: Any, before: "Choice") -> "Choice":
-        """A new estimate, with the subgoals of before."""
-        terrain = observed_terrain(belief)
-        extent, ask = self._extent(belief), functools.partial(self._told, state=estimator_state)
-        part = extent.part(terrain, belief.pose)
-        answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)
-        latest = extent.merged(answer, belief.pose, before.estimates[0])
-        first = bitboard.is_empty(before.estimated_from)
-        # The first estimate stands for all views.
-        estimates = (latest, *(jnp.where(first, latest, older) for older in before.estimates[:-1]))
-        return before._replace(
-            estimates=estimates, estimated_from=belief.seen, view=(before.view + 1) % len(self.views)
-        )
-
-    def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
-        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
-
-        The scores are the current ones; the subgoal had the lowest when it was chosen.
-        """
+    def look(self, belief: Belief, state: "ExplorationState") -> "tuple[Bool[Array, '*batch'], Look]":
+        """Whether another choice of the subgoal is due, and what it depends on."""
         reachable = reachable_cells(belief, state.reachable)
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
@@ -470,20 +477,51 @@ class DC2G(AssessingPlanner):
         enough = max(1, round(self.replan_fraction * len(self.rules.sensing.offsets[0])))
         # Robots that do not explore need no subgoal.
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
-        inputs = belief, reachable, revealing, decided_near, state.estimator
-        if self.memory:
-            choice = update_where(self._choose, outdated, inputs, state.choice)
-        else:
-            choice = jax.lax.cond(
-                outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice
-            )
-        candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
+        return outdated, Look(outdated, reachable, revealing, decided_near)
+
+    def ask(self, belief: Belief, state: "ExplorationState") -> Estimates:
+        """The selection rule's summary of an estimate, for the next view; without a memory, for all views."""
+        part = self._extent(belief).part(observed_terrain(belief), belief.pose)
+        told = functools.partial(self._told, state=state.estimator)
+        if not self.memory:
+            return at_once(told, part, self.views)
+        view = state.choice.view
+        return in_view(told(in_view(part, self.views, view, 0)), self.views, view, 1)
+
+    def _choose(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", ask: Ask) -> "Choice":
+        """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
+        belief, _, look = inputs
+        choice = self._estimated(inputs, before, ask)
+        candidates, score, _ = self._scored(belief, look, choice.estimate)
+        return choice._replace(subgoals=_lowest(score, candidates, belief.width))
+
+    def _estimated(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", ask: Ask) -> "Choice":
+        """A new estimate, with the subgoals of before."""
+        belief, state, _ = inputs
+        latest = self._extent(belief).merged(ask(belief, state), belief.pose, before.estimates[0])
+        first = bitboard.is_empty(before.estimated_from)
+        # The first estimate stands for all views.
+        estimates = (latest, *(jnp.where(first, latest, older) for older in before.estimates[:-1]))
+        return before._replace(
+            estimates=estimates, estimated_from=belief.seen, view=(before.view + 1) % len(self.views)
+        )
+
+    def conclude(
+        self, belief: Belief, state: "ExplorationState", looked: "Look", ask: Ask
+    ) -> "tuple[Assessment, ExplorationState]":
+        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
+
+        The scores are the current ones; the subgoal had the lowest when it was chosen.
+        """
+        make = functools.partial(self._choose if self.memory else self._estimated, ask=ask)
+        choice = update_where(make, looked.outdated, (belief, state, looked), state.choice)
+        candidates, score, penalty = self._scored(belief, looked, choice.estimate)
         if not self.memory:  # the choice is always new, so it is made from these scores
             choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
-        plan = explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
-        cost_to_go = jnp.mean(choice.estimate, axis=0)
-        state = ExplorationState(reachable, choice, decided_near, state.estimator)
-        return Assessment(plan, reachable, candidates, score, cost_to_go, penalty), state
+        plan = explore_or_finish(belief, looked.reachable, choice.subgoals & looked.revealing, self.rules)
+        cost_to_go = sum(choice.estimate[1:], choice.estimate[0]) / len(choice.estimate)
+        state = ExplorationState(looked.reachable, choice, looked.decided_near, state.estimator)
+        return Assessment(plan, looked.reachable, candidates, score, cost_to_go, penalty), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
         """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
@@ -492,6 +530,22 @@ class DC2G(AssessingPlanner):
             subgoals=jnp.where(bitboard.is_empty(changed), state.choice.subgoals, jnp.uint32(0)),
         )
         return state._replace(reachable=jnp.zeros_like(state.reachable), choice=choice)
+
+
+class Look(NamedTuple):
+    """What a decision of DC2G depends on besides the estimate.
+
+    Attributes:
+      outdated: whether another choice of the subgoal is due.
+      reachable: reachable cells.
+      revealing: poses that reveal something when reached.
+      decided_near: number of decisions near each cell, if `patience` has a price.
+    """
+
+    outdated: Bool[Array, "*batch"]
+    reachable: Board
+    revealing: PoseSet
+    decided_near: Int[Array, "h w *batch"]
 
 
 class Choice(NamedTuple):
@@ -532,7 +586,15 @@ class ExplorationState(NamedTuple):
 
 
 def _lowest(score: Float[Array, "h w *batch"], candidates: PoseSet, width: int) -> PoseSet:
-    """The poses on cells of lowest score (Algorithm 2, line 11). Ties are all kept: the plan goes to the nearest."""
+    """The poses on cells of lowest score (Algorithm 2, line 11); none if a score is NaN.
+
+    Ties are all kept: the plan goes to the nearest.
+    """
     chosen_from = bitboard.unpack(poses.occupied(candidates), width)
-    score = jnp.where(chosen_from, score, jnp.inf)
-    return candidates & bitboard.pack(chosen_from & (score == jnp.min(score, axis=(0, 1))))
+    # Integers in the order of the scores, NaN first. XLA has no code for the least float within an operation.
+    least, most = jnp.iinfo(jnp.int32).min, jnp.iinfo(jnp.int32).max
+    bits = jax.lax.bitcast_convert_type(score + 0.0, jnp.int32)
+    order = jnp.where(score == score, jnp.where(bits < 0, bits ^ most, bits), least)
+    order = jnp.where(chosen_from, order, most)
+    lowest = apart(functools.partial(jnp.min, axis=(0, 1)), order)
+    return candidates & bitboard.pack(chosen_from & (score == score) & (order == lowest))

@@ -116,7 +116,7 @@ class ExpectedCost(_OneCost):
     @linear
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The mean."""
-        return jnp.mean(costs, axis=0, keepdims=True)
+        return sum(costs[1:], costs[:1]) / len(costs)
 
 
 @dataclasses.dataclass(frozen=True)

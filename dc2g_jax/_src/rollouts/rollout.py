@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Planner
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, AskingPlanner, Plan, Planner, asks
 from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 from dc2g_jax._src.rollouts.devices import (
     deal,
@@ -39,6 +39,9 @@ STEP_LIMIT = 500
 
 #: Planner steps of the first call on the device.
 _FIRST_STEPS = 16
+
+#: Decisions of a robot before it is the next one's turn, if it does not ask.
+_DECISIONS_PER_TURN = 32
 
 #: The action recorded after the end of an episode.
 NO_ACTION = -1
@@ -181,10 +184,12 @@ def _seat(state: _State, vacant: Bool[Array, "slots"], queue: _Queue, sensing: K
     )
 
 
-def _advance(state: _State, planner: Planner, sensing: Kernel, step_limit: int) -> _State:
+def _advance(
+    state: _State, decide: Callable[[Belief, Any], tuple[Plan, Any]], sensing: Kernel, step_limit: int
+) -> _State:
     """One plan-act-observe cycle of every robot."""
     slots, results = state.slots, state.results
-    plan, planner_state = planner.plan(slots.belief, slots.planner_state)
+    plan, planner_state = decide(slots.belief, slots.planner_state)
     goes_on = slots.active & ~slots.finished
     acts = goes_on & (plan.mode != GAVE_UP)
     belief = gridworld.step(slots.world, slots.belief, plan.action, sensing)
@@ -221,6 +226,69 @@ def _record(state: _State) -> _State:
     )
 
 
+def _alone(
+    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: AskingPlanner, sensing: Kernel, step_limit: int
+) -> _State:
+    """Run robots one after another, each until it asks the estimator, then ask for all of them.
+
+    Args:
+      state: robots on the first axis of the slots, each a batch of one.
+      n_steps: number of times the estimator is asked at most.
+      queue: the waiting episodes.
+      planner: the planner.
+      sensing: field of view of the robots.
+      step_limit: actions after which an episode ends.
+    """
+
+    def look(state: _State) -> tuple[Bool[Array, "1"], Any]:
+        return planner.look(state.slots.belief, state.slots.planner_state)
+
+    def go_on(state: _State, looked: Any, answer: Any) -> tuple[_State, Any]:
+        """One robot, until it asks again or its turn ends."""
+
+        def goes_on(carry: tuple[_State, Any, Array]) -> Bool[Array, ""]:
+            state, (asks, _), taken = carry
+            return (state.slots.active & ((taken == 0) | ~asks & (taken < _DECISIONS_PER_TURN)))[0]
+
+        def cycle(carry: tuple[_State, Any, Array]) -> tuple[_State, Any, Array]:
+            state, (_, looked), taken = carry
+
+            def decide(belief: Belief, planner_state: Any) -> tuple[Plan, Any]:
+                assessment, planner_state = planner.conclude(belief, planner_state, looked, lambda *_: answer)
+                return assessment.plan, planner_state
+
+            state = _advance(state, decide, sensing, step_limit)
+            finished = state.slots.finished
+            state = jax.lax.cond(finished[0], lambda: _seat(_record(state), finished, queue, sensing), lambda: state)
+            return state, look(state), taken + 1
+
+        return jax.lax.while_loop(goes_on, cycle, (state, looked, jnp.int32(0)))[:2]
+
+    def every_turn(state: _State, looked: Any, answers: Any) -> tuple[_State, Any]:
+        def turn(index: Array, carry: tuple[_State, Any]) -> tuple[_State, Any]:
+            everyone = carry[0].slots, carry[1]
+            slots, looked, answer = jax.tree.map(lambda leaf: leaf[index], (*everyone, answers))
+            state, looked = go_on(dataclasses.replace(carry[0], slots=slots), looked, answer)
+            slots, looked = jax.tree.map(lambda leaf, own: leaf.at[index].set(own), everyone, (state.slots, looked))
+            return dataclasses.replace(state, slots=slots), looked
+
+        return jax.lax.fori_loop(0, len(state.slots.active), turn, (state, looked))
+
+    def ask_and_go_on(carry: tuple[_State, Any, Array]) -> tuple[_State, Any, Array]:
+        state, looked, asked = carry
+        belief, planner_state = jax.tree.map(
+            lambda leaf: jnp.moveaxis(leaf[..., 0], 0, -1), (state.slots.belief, state.slots.planner_state)
+        )
+        answers = jnp.moveaxis(planner.ask(belief, planner_state), -1, 0)[..., None]
+        return *one_operation(every_turn, state, looked, answers), asked + 1
+
+    def unfinished(carry: tuple[_State, Any, Array]) -> Bool[Array, ""]:
+        return (carry[2] < n_steps) & jnp.any(carry[0].slots.active)
+
+    looked = jax.lax.map(lambda slots: look(dataclasses.replace(state, slots=slots)), state.slots)
+    return jax.lax.while_loop(unfinished, ask_and_go_on, (state, looked, jnp.int32(0)))[0]
+
+
 @functools.partial(
     jit,
     static_argnames=("mesh", "sensing", "step_limit"),
@@ -249,7 +317,7 @@ def _run(
                 return (carry[1] < n_steps) & few_finished(carry[0].slots)
 
             def cycle(carry: tuple[_State, Array]) -> tuple[_State, Array]:
-                return _advance(carry[0], planner, sensing, step_limit), carry[1] + 1
+                return _advance(carry[0], planner.plan, sensing, step_limit), carry[1] + 1
 
             state, cycles = jax.lax.while_loop(go_on, cycle, carry)
             return _seat(_record(state), state.slots.finished, queue, sensing), cycles
@@ -260,10 +328,12 @@ def _run(
         return jax.lax.while_loop(go_on, until_some_finish, (state, jnp.int32(0)))[0]
 
     def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
+        if platform(mesh) == "cpu" and asks(planner):
+            return _alone(dealt[0], n_steps, dealt[1], planner, sensing, step_limit)
         return one_operation(run, *dealt, n_steps, planner)
 
     states = on_each(own, mesh, (states, queues), n_steps, planner)
-    return states, states.seated - jnp.sum(states.slots.active, axis=-1)
+    return states, states.seated - jnp.sum(states.slots.active.reshape(mesh.size, -1), axis=-1)
 
 
 @functools.partial(jit, static_argnames=("mesh", "sensing", "n_slots", "kept_steps"))
@@ -283,7 +353,11 @@ def _first_states(
             success=jnp.zeros(rows, bool),
             mode=jnp.full(rows, EXPLORE, jnp.int32),
         )
-        slots = _robots(queue, jnp.arange(n_slots, dtype=jnp.int32), sensing)
+        turns = jnp.arange(n_slots, dtype=jnp.int32)
+        if platform(mesh) == "cpu" and asks(planner):
+            slots = jax.lax.map(lambda turn: _robots(queue, turn, sensing), turns[:, None])
+        else:
+            slots = _robots(queue, turns, sensing)
         return queue, _State(slots, results, seated=jnp.sum(slots.active, dtype=jnp.int32))
 
     return on_each(first, mesh, (episodes, lengths), planner, worlds)

@@ -105,15 +105,7 @@ def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"
 def walk(
     key: Array, people: Pedestrians, sidewalks: Ground, vehicle: VehicleState, vehicle_radius: float
 ) -> Pedestrians:
-    """The pedestrians one period later.
-
-    Args:
-      key: random key of this period.
-      people: current state of the pedestrians.
-      sidewalks: walkable cells.
-      vehicle: current state of the vehicle.
-      vehicle_radius: radius of its footprint, meters.
-    """
+    """The pedestrians one period later."""
     ahead = FORESIGHT * vehicle.speed * jnp.stack([jnp.cos(vehicle.yaw), jnp.sin(vehicle.yaw)])
     personal = PERSON_RADIUS + vehicle_radius + SPACE
 

@@ -70,15 +70,7 @@ class People:
 def navigate(
     state: VehicleState, path: Path, ground: Ground, people: People, limits: VehicleLimits
 ) -> Float[Array, "2"]:
-    """The command that follows a path past people: speed (meters per second) and turn rate (radians per second).
-
-    Args:
-      state: state of the vehicle.
-      path: path to follow.
-      ground: allowed ground of the footprint.
-      people: people around the vehicle.
-      limits: limits of the vehicle.
-    """
+    """The command that follows a path past people: speed (meters per second) and turn rate (radians per second)."""
     target = detour(state, aim(state, path, ground, limits), ground, people, limits)
     return avoid(state, steer(state, target, path, limits), ground, people, limits)
 
@@ -86,15 +78,7 @@ def navigate(
 def detour(
     state: VehicleState, target: Float[Array, "2"], ground: Ground, people: People, limits: VehicleLimits,
 ) -> Float[Array, "2"]:  # fmt: skip
-    """The point to drive to straight so as to meet nobody: the target if it is free or if no direction is better.
-
-    Args:
-      state: state of the vehicle.
-      target: desired point, meters.
-      ground: allowed ground of the footprint.
-      people: people around the vehicle, predicted at constant velocity.
-      limits: limits of the vehicle.
-    """
+    """The point to drive to straight so as to meet nobody: the target if it is free or if no direction is better."""
     offset = target - state.position
     bearing = jnp.arctan2(offset[1], offset[0])
     aside = jnp.linspace(-_WIDEST, _WIDEST, _DIRECTIONS)

@@ -32,7 +32,7 @@ from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, NOTHING, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
-from dc2g_jax._src.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no_drift, noisy_frame
+from dc2g_jax._src.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, noisy_frame
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
 from dc2g_jax._src.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
@@ -159,24 +159,10 @@ class Robot(SimulatedRobot):
 
 
 def reset(
-    key: Key[Array, ""],
-    start: Pose,
-    site: Site,
-    equipment: Equipment,
-    *,
-    pedestrians: int = 0,
-    knows_map: ArrayLike = False,
+    key: Key[Array, ""], own: tuple[Pose, ArrayLike], site: Site, equipment: Equipment, pedestrians: int = 0
 ) -> Robot:
-    """The robot at its start, with an empty map.
-
-    Args:
-      key: random key of the episode.
-      start: column, row and heading.
-      site: the true house.
-      equipment: components of the robot.
-      pedestrians: number of pedestrians.
-      knows_map: whether it knows the whole map beforehand.
-    """
+    """The robot at its start. Its own are its pose, and whether it knows the whole map instead of an empty one."""
+    start, knows_map = own
     key, own_key = jax.random.split(key)
     cell_size = equipment.mapping.cell_size
     here = jnp.stack([start.x, start.y])
@@ -188,7 +174,7 @@ def reset(
     return Robot(
         key=key,
         vehicle=at_rest(position, yaw),
-        drift=no_drift(),
+        drift=jnp.zeros(3, jnp.float32),
         moved=jnp.float32(0),
         prior=prior,
         map=empty_map(equipment.mapping),
@@ -229,9 +215,8 @@ def step(robot: Robot, site: Site, equipment: Equipment) -> Robot:
 
 def believed(robot: Robot) -> VehicleState:
     """The vehicle at the estimated pose."""
-    drift = robot.drift
-    position = robot.vehicle.position + jnp.stack([drift.x, drift.y])
-    return dataclasses.replace(robot.vehicle, position=position, yaw=wrapped(robot.vehicle.yaw + drift.yaw))
+    vehicle, drift = robot.vehicle, robot.drift
+    return dataclasses.replace(vehicle, position=vehicle.position + drift[:2], yaw=wrapped(vehicle.yaw + drift[2]))
 
 
 def outdoor_camera(vehicle: VehicleState) -> CameraPose:
@@ -405,10 +390,10 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
 
 def _people_around(robot: Robot) -> People:
     """The people that the robot has seen lately, where it supposes them, placed around its estimated pose."""
-    drift, age = robot.drift, (robot.periods - robot.seen_at)[:, None]
+    yaw, age = robot.drift[2], (robot.periods - robot.seen_at)[:, None]
     supposed = robot.seen.position + age * CONTROL_PERIOD * robot.seen.velocity
     supposed = jnp.where(age > _FORGETTING_PERIODS, NOWHERE, supposed)
-    along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
+    along, across = jnp.cos(yaw), jnp.sin(yaw)
     turn = jnp.stack([jnp.stack([along, across]), jnp.stack([-across, along])])
 
     def turned(offsets: Float[Array, "people 2"]) -> Float[Array, "people 2"]:

@@ -1,20 +1,23 @@
-"""Many robots, each in the whole loop of an episode of its own, over all devices."""
+"""Episodes of robots in the whole loop: many at once over all devices, or one frame by frame for figures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.mapping.camera import Frame
 from dc2g_jax._src.mapping.scene import scene_from_terrain
-from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
+from dc2g_jax._src.mapping.simulator import picture
+from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.rollout import Episodes
-from dc2g_jax._src.vehicles.drive import ARRIVED, Equipment, Robot, Site, reset, step
-from dc2g_jax._src.vehicles.robot import at_starts, run_to_end
-from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD
+from dc2g_jax._src.vehicles.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
+from dc2g_jax._src.vehicles.robot import is_driving, run_all
+from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
 #: Control periods that the first call of the device drives.
 _FIRST_PERIODS = 10
@@ -35,11 +38,6 @@ class Drives:
     status: Int[np.ndarray, "episodes"]
     off_ground: Float[np.ndarray, "episodes"]
     touched: Float[np.ndarray, "episodes"]
-
-    @property
-    def success(self) -> Bool[np.ndarray, "episodes"]:
-        """Whether the robot reached a front door."""
-        return self.status == ARRIVED
 
 
 def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
@@ -82,26 +80,49 @@ def drive_all(
       time_limit: seconds after which an episode ends without success.
       on_progress: called now and then with the number of episodes that have ended.
     """
-    mesh = mesh_of()
-    count, last_period = len(episodes), round(time_limit / CONTROL_PERIOD)
-    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
-    equipment, sites = replicate((equipment, sites), mesh)
-    episodes, keys = deal((episodes, keys), count, mesh)
-    shared = sites, equipment, jnp.asarray(knows_map)
-    robots = at_starts(keys, episodes, shared, mesh=mesh, reset=at_start, number=pedestrians)
-    robots = run_to_end(
-        robots, step, episodes.world, sites, equipment,
-        limit=last_period, count=count, first_steps=_FIRST_PERIODS, on_progress=on_progress,
+    own = episodes.start, np.full(len(episodes), knows_map)
+    status, *periods = run_all(
+        reset, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
+        own, episodes.world, sites, equipment, seed=seed, number=pedestrians,
+        limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS, on_progress=on_progress,
     )  # fmt: skip
-    status, *periods = gather((robots.status, robots.periods, robots.off_ground, robots.touched), count)
     seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
     return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
 
 
-def at_start(
-    key: Key[Array, ""], episode: Episodes, shared: tuple[Site, Equipment, Bool[Array, ""]], pedestrians: int
-) -> Robot:
-    """The robot at the start of its episode; for `vehicles.robot.at_starts`."""
-    sites, equipment, knows_map = shared
-    site = jax.tree.map(lambda leaf: leaf[episode.world], sites)
-    return reset(key, episode.start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
+class Moment(NamedTuple):
+    """A camera frame, and the robot after the control periods that follow it; arrays on the host.
+
+    Attributes:
+      seconds: time since the start.
+      picture: color image of the camera, without people.
+      frame: depth and classes that the robot gets.
+      robot: the robot afterwards.
+      believed: the vehicle at its estimated pose then.
+      cost_to_go: the planner's estimate for each cell, in the estimator's unit; `None` without estimator.
+    """
+
+    seconds: float
+    picture: UInt8[np.ndarray, "height width 3"]
+    frame: Frame
+    robot: Robot
+    believed: VehicleState
+    cost_to_go: Float[np.ndarray, "h w"] | None
+
+
+@jit
+def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, VehicleState, Frame, Array]:
+    """The robot at the next frame, its estimated pose there, the frame before, and its picture."""
+    frame, _ = sensed(robot, site, equipment)
+    seen = picture(site.scene, equipment.camera, outdoor_camera(robot.vehicle))
+    after = jax.lax.fori_loop(0, equipment.frame_periods, lambda _, now: step(now, site, equipment), robot)
+    return after, believed(after), frame, seen
+
+
+def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:
+    """Drive an episode to its end, frame by frame, for `time_limit` seconds at most."""
+    while is_driving(robot, time_limit / CONTROL_PERIOD):
+        seconds = float(robot.periods) * CONTROL_PERIOD
+        robot, place, frame, seen = _next(robot, site, equipment)
+        cost_to_go = getattr(robot.planner_state, "cost_to_go", None)
+        yield Moment(seconds, *jax.device_get((seen, frame, robot, place, cost_to_go)))

@@ -74,12 +74,6 @@ def aim(state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits) 
 
     If it can reach none, the point of the path nearest to the vehicle, which can be reached from anywhere in a cell of
     the path. A vehicle that is farther off its path needs a new path.
-
-    Args:
-      state: state of the vehicle.
-      path: path to follow.
-      ground: allowed ground of the footprint.
-      limits: limits of the vehicle.
     """
     points = _points_ahead(state.position, path)
     offsets = points - state.position
@@ -97,15 +91,9 @@ def _stopping(distance: Float[Array, ""], deceleration: float) -> Float[Array, "
 
 
 def steer(state: VehicleState, target: Float[Array, "2"], path: Path, limits: VehicleLimits) -> Float[Array, "2"]:
-    """The command that steers to a point: speed (meters per second) and turn rate (radians per second).
+    """The command that steers to a point of a path: speed (meters per second) and turn rate (radians per second).
 
     At the end of the path it turns the vehicle to the path's final yaw.
-
-    Args:
-      state: state of the vehicle.
-      target: the point, meters.
-      path: path that the vehicle follows.
-      limits: limits of the vehicle.
     """
     offset = target - state.position
     distance = jnp.linalg.norm(offset)

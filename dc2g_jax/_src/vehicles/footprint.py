@@ -45,22 +45,12 @@ class Surroundings:
 
 
 def cell_at(position: Float[Array, "*n 2"], cell_size: float) -> Int[Array, "*n 2"]:
-    """Column and row of the cells that contain the given positions.
-
-    Args:
-      position: x and y, meters.
-      cell_size: side of a cell, meters.
-    """
+    """Column and row of the cells that contain positions (x and y, meters)."""
     return jnp.floor(position * jnp.array([1, -1], jnp.float32) / cell_size).astype(jnp.int32)
 
 
 def cell_centers(cells: Int[Array, "*n 2"], cell_size: float) -> Float[Array, "*n 2"]:
-    """Centers of cells in the world, meters.
-
-    Args:
-      cells: column and row.
-      cell_size: side of a cell, meters.
-    """
+    """Centers of cells, given by column and row, in the world, meters."""
     return (cells.astype(jnp.float32) + 0.5) * jnp.array([cell_size, -cell_size], jnp.float32)
 
 
@@ -73,13 +63,7 @@ def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
 
 
 def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> Surroundings:
-    """The blocked cells within at least `reach` meters of a place.
-
-    Args:
-      ground: allowed ground of the footprint.
-      position: the place, meters.
-      reach: distance from the place, meters.
-    """
+    """The blocked cells within at least `reach` meters of a place."""
     rings = math.ceil(reach / ground.cell_size)
     offsets = jnp.arange(-rings, rings + 1)
     middle = cell_at(position, ground.cell_size)
@@ -91,12 +75,7 @@ def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> S
 
 
 def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array, "*n"]:
-    """Distance of each point to the nearest blocked cell, meters: 0 inside one, infinite where there is none.
-
-    Args:
-      points: x and y, meters.
-      around: blocked cells near the points.
-    """
+    """Distance of each point to the nearest blocked cell, meters: 0 inside one, infinite where there is none."""
     off_x = [jnp.maximum(jnp.abs(points[..., 0] - x) - around.half, 0) ** 2 for x in around.x]
     off_y = [jnp.maximum(jnp.abs(points[..., 1] - y) - around.half, 0) ** 2 for y in around.y]
     # Cell by cell: compilers fuse this loop into one pass over all points, unlike a reduction over the cells.

@@ -14,16 +14,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, Key
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.vehicles.vehicle import VehicleLimits, VehicleState, drive
 
 #: The cost of a pose: position (x and y, meters) and yaw (radians) -> a finite number.
 CostOfPose = Callable[[Float[Array, "2"], Float[Array, ""]], Float[Array, ""]]
-
-
-def _is_count(number: float) -> bool:
-    """Whether it is a whole number of at least 1."""
-    return isinstance(number, int | np.integer) and number >= 1
 
 
 @struct.dataclass
@@ -39,9 +33,6 @@ class MPPISettings:
         independent (0). Sampled headings then hardly deviate from the plan, as turns to the left and right cancel.
       temperature: difference in summed cost that makes a copy e times less likely, lambda.
       effort: the control-effort matrix Q on (speed, turn rate), by rows: symmetric, without negative eigenvalues.
-
-    Raises:
-      InputError: a value is out of range.
     """
 
     limits: VehicleLimits = struct.field(pytree_node=False, default=VehicleLimits())
@@ -54,24 +45,6 @@ class MPPISettings:
         pytree_node=False, default=((0.01, 0.0), (0.0, 0.01))
     )
 
-    def __post_init__(self) -> None:
-        effort, noise = np.array(self.effort, float), np.array(self.noise, float)
-        symmetric = effort.shape == (2, 2) and np.all(np.isfinite(effort)) and np.array_equal(effort, effort.T)
-        for name, sound, remedy in (
-            ("horizon", _is_count(self.horizon), "give a whole number from 1 on"),
-            ("samples", _is_count(self.samples), "give a whole number from 1 on"),
-            ("noise", noise.shape == (2,) and np.all((noise >= 0) & (noise < np.inf)), "give two numbers from 0 on"),
-            ("correlation", 0 <= self.correlation < 1, "give a number from 0 to below 1"),
-            ("temperature", 0 < self.temperature < np.inf, "give a number above 0"),
-            (
-                "effort",
-                symmetric and np.linalg.eigvalsh(effort)[0] >= 0,
-                "give a symmetric 2x2 matrix without negative eigenvalues",
-            ),
-        ):
-            if not sound:
-                raise InputError(f"{name} of the controller is {getattr(self, name)}; {remedy}")
-
 
 @struct.dataclass
 class SampledPlans:
@@ -79,20 +52,13 @@ class SampledPlans:
 
     Attributes:
       path: state of the vehicle after each command.
-      commands: speeds and turn rates of the noisy commands after the limits of the vehicle.
       costs: cost of each copy, summed over the horizon, S.
       weights: weight of each copy, w; they sum to one.
     """
 
     path: VehicleState
-    commands: Float[Array, "k h 2"]
     costs: Float[Array, "k"]
     weights: Float[Array, "k"]
-
-
-def standing_still(settings: MPPISettings) -> Float[Array, "h 2"]:
-    """The initial plan: no motion."""
-    return jnp.zeros((settings.horizon, 2), jnp.float32)
 
 
 def plan(
@@ -150,13 +116,6 @@ def improved(
 
     The noise is first clipped by the vehicle's limits on velocities and accelerations in every copy, so the new plan
     respects them too. Where the limits are inactive this is exactly the equation.
-
-    Args:
-      controls: current plan.
-      noise: noise on the commands of each copy.
-      state: current state of the vehicle.
-      cost_of_pose: cost of a pose.
-      settings: settings of the controller.
     """
     path = _driven(state, controls + noise, settings)
     commands = jnp.stack([path.speed, path.turn_rate], axis=-1)
@@ -165,7 +124,7 @@ def improved(
     # exp(-(S - min S) / lambda) / eta: softmax subtracts the largest exponent, that of the least cost, first.
     weights = jax.nn.softmax(-costs / settings.temperature)
     new = controls + jnp.einsum("k,khi->hi", weights, commands - controls)
-    return new, SampledPlans(path=path, commands=commands, costs=costs, weights=weights)
+    return new, SampledPlans(path=path, costs=costs, weights=weights)
 
 
 def _driven(state: VehicleState, commands: Float[Array, "k h 2"], settings: MPPISettings) -> VehicleState:

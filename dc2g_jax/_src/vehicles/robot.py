@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int, Key, UInt32
 
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import batched, mesh_of, not_repeated, on_each, serve_paced
+from dc2g_jax._src.rollouts.devices import batched, deal, gather, mesh_of, not_repeated, on_each, replicate, serve_paced
 from dc2g_jax._src.vehicles.footprint import Ground, clearance, surroundings
 from dc2g_jax._src.vehicles.vehicle import VehicleState
 
@@ -38,7 +38,8 @@ class SimulatedRobot:
     status: Int[Array, ""]
 
 
-_Robot = TypeVar("_Robot", bound=SimulatedRobot)
+#: `(key, what it has of its own, site, components, a number that sets shapes) ->` the robot at its start.
+Reset = Callable[[Any, Any, Any, Any, int], Any]
 
 #: `(robot, site, components) ->` the robot one control period later, or some.
 Step = Callable[[Any, Any, Any], Any]
@@ -57,12 +58,6 @@ def stopped_by_obstacles(
     It still turns, because a circular footprint covers no new ground. A vehicle that already touches an obstacle may
     move away from it.
 
-    Args:
-      before: the vehicle at the start of a control period.
-      after: the vehicle at its end without obstacles.
-      ground: allowed ground of the footprint.
-      radius: radius of the footprint, meters.
-
     Returns:
       The vehicle at the end of the period, and whether it was stopped.
     """
@@ -73,58 +68,61 @@ def stopped_by_obstacles(
     return dataclasses.replace(after, position=position, speed=speed), bumped
 
 
-@functools.partial(jit, static_argnames=("mesh", "reset", "number"))
-def at_starts(
-    keys: UInt32[Array, "devices own key"], own: Any, shared: Any, *, mesh: Mesh, reset: Callable[..., Any], number: int
-) -> Any:
-    """Robots at their starts, dealt out to all devices.
-
-    Args:
-      keys: key of each robot, as data.
-      own: what each robot has of its own, `[devices own ...]`.
-      shared: what all robots share.
-      mesh: the devices.
-      reset: a function of a module, for which programs are compiled once: `(key, own, shared, number) ->` the robot.
-      number: a number that sets shapes, for `reset`.
-    """
-
-    def on_device(dealt: tuple[Array, Any], shared: Any) -> Any:
-        def one(key: Array, own: Any) -> Any:
-            return reset(jax.random.wrap_key_data(key), own, shared, number)
-
-        return batched(mesh)(one)(*dealt)
-
-    return on_each(on_device, mesh, (keys, own), shared)
-
-
-def run_to_end(
-    robots: _Robot,
+def run_all(
+    reset: Reset,
     step: Step,
-    where: Int[Array, "devices own"],
+    results: Callable[[Any], Any],
+    own: Any,
+    where: Int[Any, "robots"],
     sites: Any,
     components: Any,
     *,
+    number: int,
     limit: int,
-    count: int,
     first_steps: int,
+    seed: int = 0,
     on_progress: Callable[[int], None] | None = None,
-) -> _Robot:
-    """Run robots that are dealt out to all devices to the ends of their episodes.
+) -> Any:
+    """Run robots to the ends of their episodes, on all devices.
 
     Args:
-      robots: the robots at their starts, `[devices own ...]`.
-      step: a function of a module, for which programs are compiled once.
+      reset: a function of a module, for which programs are compiled once, like `step`.
+      step: see `Step`.
+      results: what is returned of the robots.
+      own: what each robot has of its own, stacked.
       where: number of each robot's site.
       sites: stacked sites.
       components: components of the robots.
+      number: a number that sets shapes, for `reset`.
       limit: control periods after which an episode ends.
-      count: number of robots without repetitions.
       first_steps: steps of the first call of the device.
+      seed: seed of the robots' random keys.
       on_progress: called now and then with the number of episodes that have ended.
     """
-    mesh = mesh_of()
+    mesh, count = mesh_of(), len(where)
+    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
+    sites, components = replicate((sites, components), mesh)
+    keys, own, where = deal((keys, own, where), count, mesh)
+    robots = _at_starts(where, keys, own, sites, components, mesh=mesh, reset=reset, number=number)
     go_on = functools.partial(_go_on, where, not_repeated(count, mesh), sites, components, limit, mesh=mesh, step=step)
-    return serve_paced(robots, go_on, count, on_progress, first_steps=first_steps)
+    return gather(results(serve_paced(robots, go_on, count, on_progress, first_steps=first_steps)), count)
+
+
+@functools.partial(jit, static_argnames=("mesh", "reset", "number"))
+def _at_starts(
+    where: Int[Array, "devices own"], keys: UInt32[Array, "devices own key"], own: Any, sites: Any, components: Any,
+    *, mesh: Mesh, reset: Reset, number: int,
+) -> Any:  # fmt: skip
+    """Robots at their starts, dealt out to all devices."""
+
+    def on_device(dealt: tuple[Array, Array, Any], sites: Any, components: Any) -> Any:
+        def one(place: Array, key: Array, own: Any) -> Any:
+            site = jax.tree.map(lambda leaf: leaf[place], sites)
+            return reset(jax.random.wrap_key_data(key), own, site, components, number)
+
+        return batched(mesh)(one)(*dealt)
+
+    return on_each(on_device, mesh, (where, keys, own), sites, components)
 
 
 @functools.partial(jit, static_argnames=("mesh", "step"), donate_argnames=("robots",))

@@ -7,14 +7,10 @@ place, because a circular footprint then covers no new ground.
 All functions take one vehicle; use `jax.vmap` for batches.
 """
 
-import dataclasses
-
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-
-from dc2g_jax._src.errors import InputError
 
 #: Seconds between two commands, 10 Hz.
 CONTROL_PERIOD = 0.1
@@ -47,9 +43,6 @@ class VehicleLimits:
       max_acceleration: largest acceleration and deceleration, meters per second squared.
       max_turn_acceleration: largest change of the turn rate in either direction, radians per second squared.
       radius: radius of the footprint, meters.
-
-    Raises:
-      InputError: a limit is not above 0.
     """
 
     max_speed: float = struct.field(pytree_node=False, default=1.5)
@@ -58,19 +51,9 @@ class VehicleLimits:
     max_turn_acceleration: float = struct.field(pytree_node=False, default=8.0)
     radius: float = struct.field(pytree_node=False, default=0.3)
 
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            if not getattr(self, field.name) > 0:
-                raise InputError(f"{field.name} of the vehicle is {getattr(self, field.name)}; give a number above 0")
-
 
 def at_rest(position: ArrayLike, yaw: ArrayLike) -> VehicleState:
-    """The state of a vehicle at rest.
-
-    Args:
-      position: x and y, meters.
-      yaw: direction of the vehicle, radians.
-    """
+    """The state of a vehicle at rest; x and y, meters, and yaw, radians."""
     still = jnp.float32(0)
     return VehicleState(
         position=jnp.asarray(position, jnp.float32),
@@ -107,12 +90,6 @@ def _along_arc(
 
     The chord of an arc of length s that turns by a has length s sin(a / 2) / (a / 2) and the direction half-way through
     the turn. This is exact for every turn, including 0.
-
-    Args:
-      position: start of the arc, meters.
-      yaw: direction at the start, radians.
-      traveled: length of the arc, meters.
-      turned: change of direction along the arc, radians.
     """
     # jnp.sinc(x) is sin(pi x) / (pi x), and 1 at 0.
     chord = traveled * jnp.sinc(turned / (2 * jnp.pi))

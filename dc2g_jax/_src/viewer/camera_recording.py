@@ -16,8 +16,7 @@ from tqdm import tqdm
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, points
-from dc2g_jax._src.mapping.checks import check_frame
-from dc2g_jax._src.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
+from dc2g_jax._src.mapping.semantic_map import MapSettings, SemanticMap, check_frame, empty_map, integrate, terrain_map
 from dc2g_jax._src.mapping.sequences import DEPTH_UNITS, ImageSequence, depth_steps, read_frame, read_picture
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.viewer import _legend as legend
@@ -266,7 +265,7 @@ def record_mapping(
         for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
             frame = read_frame(sequence, moment)
             try:
-                check_frame(frame, sequence.intrinsics, settings)
+                check_frame(frame, settings)
             except InputError as error:
                 tqdm.write(f"left out {moment.depth}: {error}", file=sys.stderr)
                 wrong += 1

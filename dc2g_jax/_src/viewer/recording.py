@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.costs import exact_cost_to_go, predicts, score_colors
+from dc2g_jax._src.figures.episode_figures import outcome
 from dc2g_jax._src.figures.replay import Frames, actions_from_letters, replay_result, running_extra_steps
 from dc2g_jax._src.figures.results_figures import planner_styles
 from dc2g_jax._src.grid.poses import FORWARD
@@ -94,14 +95,7 @@ def _cells_of(path: np.ndarray) -> Float[np.ndarray, "cells 2"]:
     return centers(cells[:, 0], cells[:, 1])
 
 
-def _outcome(result: EpisodeResult) -> str:
-    """The outcome of an episode, in words."""
-    if result.success:
-        return "goal reached"
-    return "gave up" if result.mode == MODE_NAMES[GAVE_UP] else "step limit"
-
-
-def _status(result: EpisodeResult, frames: Frames) -> list[str]:
+def _status(frames: Frames) -> list[str]:
     """One line per step: its number, the extra steps so far, and the plan."""
     extra = running_extra_steps(frames)
     last = len(frames) - 1
@@ -115,7 +109,7 @@ def _status(result: EpisodeResult, frames: Frames) -> list[str]:
             GAVE_UP: "gave up",
         }[mode]
         cost = f" · {extra[step]:+.0f} % extra" if np.isfinite(extra[step]) else ""
-        what = _outcome(result) if step == last else plan
+        what = outcome(frames) if step == last else plan
         lines.append(f"**step {step}** of {last}{cost} · {what}")
     return lines
 
@@ -128,7 +122,7 @@ def _send_mode(stream: rr.RecordingStream, entity: str, label: str, result: Epis
     if others:
         # The network differs from the episode's, or the device does, whose rounding may decide a near tie differently.
         lines.append((0, f"plans shown are made anew, and {others} of their actions are not those taken"))
-    lines.append((len(frames) - 1, _outcome(result)))
+    lines.append((len(frames) - 1, outcome(frames)))
     steps = np.array([step for step, _ in lines])
     send(stream, entity, steps, rr.TextLog.columns(text=[f"{label}: {words}" for _, words in lines]))
 
@@ -148,7 +142,7 @@ def _send_episode(
     pose = frames.pose
     ahead = 2.5 * np.asarray(FORWARD, np.float32)[pose.heading]
     send_track(stream, f"{entity}/robot", centers(np.asarray(pose.x), np.asarray(pose.y)), ahead, 0.8)
-    status = _status(result, frames)
+    status = _status(frames)
     texts = rr.TextDocument.columns(text=status, media_type=["text/markdown"] * len(status))
     send(stream, f"{entity}/status", np.arange(len(frames)), texts)
     _send_mode(stream, f"{entity}/mode", label, result, frames)

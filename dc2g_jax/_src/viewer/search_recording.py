@@ -18,11 +18,6 @@ _MAPS = ("true_map", "robots_map", "costs")
 def record_search(path: str | Path, name: str, search: RecordedSearch) -> Path:
     """Write a rerun file (`.rrd`) of a search: maps at each decision, in cells of the house, and the path.
 
-    Args:
-      path: file to write; its folder is created.
-      name: name of the recording.
-      search: the search.
-
     Returns:
       The path.
 

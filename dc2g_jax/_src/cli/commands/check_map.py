@@ -7,7 +7,7 @@ import numpy as np
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, terrain_of
 from dc2g_jax._src.cli.options import OutOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.figures.map_figures import plot_map
 from dc2g_jax._src.files.class_images import read_palette
@@ -31,8 +31,8 @@ def main(options: Options) -> None:
     title = f"{options.map.name}: {terrain.shape[1]} x {terrain.shape[0]} cells"
     print("\n".join([title, *lines]))
     palette = None if options.palette is None else read_palette(options.palette)
-    files = plot_map(out / options.map.stem, title, terrain, cost_to_go, palette)
-    print(f"Written: {', '.join(str(file) for file in files)}")
+    plot_map(out / options.map.stem, title, terrain, cost_to_go, palette)
+    print_files(out)
     require_path_to_goal(str(options.map), terrain)
 
 

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from dc2g_jax._src.cli.common import ImageSizeOption, command_line
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.figures.map_figures import plot_map
@@ -99,8 +99,7 @@ def main(options: Options) -> None:
         print(f"depth images without class image or pose: {sequence.skipped}; frames that were left out: {wrong}")
     if house is not None and np.any(known):
         print(f"of the known cells, {100 * np.mean((terrain == house.terrain)[known]):.1f} % are as in the house")
-    files = "map.png, map.svg, map.pdf, map.npy, recording.rrd"
-    print(f"Written: {out}: {files} (open it with: rerun {out / 'recording.rrd'})")
+    print_files(out)
 
 
 if __name__ == "__main__":

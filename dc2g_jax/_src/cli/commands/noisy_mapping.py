@@ -12,7 +12,7 @@ from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
 from dc2g_jax._src.cli.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.estimation.estimators import Estimator
@@ -96,8 +96,8 @@ def main(options: Options) -> None:
             results[f"trained {trained}, noise {level:g}"] = summarize_drives(drives, oracle)
     write_json(out / "results.json", results)
     print_table(results)
-    files = plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")
-    print(f"Written to {out}: {', '.join(str(path.name) for path in files)}, results.json, drives/")
+    plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")
+    print_files(out)
 
 
 if __name__ == "__main__":

@@ -18,18 +18,16 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.options import NetworkOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.cli.searches import SearchOptions
-from dc2g_jax._src.figures.search_animation import animate_search
-from dc2g_jax._src.figures.search_figures import RecordedSearch, plot_prediction, plot_search
+from dc2g_jax._src.figures.search_figures import RecordedSearch, animate_search, plot_prediction, plot_search
 from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, TARGETS
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import DECLARED
 from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
-from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
-from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, search_for, site_of
+from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, estimator_for, true_distance
+from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, site_of
 from dc2g_jax._src.viewer.search_recording import record_search
 
 #: Number of moments in the figure.
@@ -61,17 +59,13 @@ def main(options: Options) -> None:
         house = indoor_houses(*where, count=1, cell_size=cell_size)[0]
     else:
         house = indoor_house(options.house, *where, cell_size=cell_size)
-    if options.target is None:
-        episode = sample_episodes([house], 1, seed=options.seed)[0]
-    else:
-        episode = search_for(house, options.target, seed=options.seed)
-    costs = costs_for([options.agent], options.network)
-    agent = agent_with(options.agent, costs, options.samples, options.noise)
+    (episode,) = sample_episodes([house], 1, seed=options.seed, target=options.target)
+    network = estimator_for([options.agent], options.network)
+    agent = agent_with(options.agent, network, options.samples, options.noise)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
-    target = OBJECT_CLASSES.index(episode.target)
-    start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
-    first = reset(jax.random.key(options.seed), (start, goal), agent, options.limit)
+    start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), TARGETS.index(episode.target)
+    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 
@@ -81,13 +75,13 @@ def main(options: Options) -> None:
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     every = [moment_of(one, agent, options.agent) for one in begun]
     moments = [every[number] for number in choose_legs(to_goal, _COLUMNS)]
-    search = RecordedSearch(house.world, target, track, every)
-    plot_search(out / "fig5", search._replace(moments=moments))
+    search = RecordedSearch(house.world, GOALS[goal], track, every)
+    plot_search(out / "fig5", dataclasses.replace(search, moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
-    if costs is not None:
+    if network is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
-        truth = TrueCost().of_house(house.world, agent.controller.limits.radius)
-        prediction = prediction_at(last, site, truth, agent, costs)
+        knowing = dataclasses.replace(agent, true_distance=true_distance(house.world, agent))
+        prediction = prediction_at(last, site, knowing)
         plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
     animate_search(out / "search.gif", search)
     record_search(out / "search.rrd", search_name, search)

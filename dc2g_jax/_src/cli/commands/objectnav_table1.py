@@ -5,18 +5,16 @@ another simulator, so its figures are shown for orientation only.
 """
 
 import dataclasses
-import functools
-import time
+from typing import Any
 
-from dc2g_jax._src.cli.common import command_line, digests
+from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import NetworkOptions
-from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.cli.searches import ComparisonOptions, conclude, run_searches
+from dc2g_jax._src.cli.searches import ComparisonOptions, compare
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.files.digests import tree_sha256
-from dc2g_jax._src.rollouts.results import ResumableTable
-from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, PAPER_TABLE1, SearchResult, summarize, table1
-from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.search.agent import Agent
+from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, PAPER_TABLE1, SearchSummary, table1
+from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, estimator_for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,23 +36,16 @@ def main(options: Options) -> None:
     """Run the agents; print and write the table."""
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
-    costs = costs_for(options.agents, options.network)
-    houses, episodes = options.places()
-    inputs = {"dataset": tree_sha256([house.world for house in houses]), **digests(network=costs)}
-    out = output_folder(options, "objectnav_table1", inputs=inputs)
-    searches, all_results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
-    for name in options.agents:
-        began = time.perf_counter()
-        agent = functools.partial(agent_with, name, costs, options.samples, options.noise)
-        all_results[name] = run_searches(searches, name, agent, houses, episodes, options)
-        print(f"{AGENT_TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
-    summaries = {name: summarize(results, resamples=options.resamples) for name, results in all_results.items()}
-    facts = {
-        "agents": {name: one._asdict() for name, one in summaries.items()},
-        "paper": {name: one._asdict() for name, one in PAPER_TABLE1.items()},
+    network = estimator_for(options.agents, options.network)
+    agents: dict[str, Agent] = {
+        name: agent_with(name, network, options.samples, options.noise) for name in options.agents
     }
-    text = f"{len(episodes)} searches in {options.described}\n{table1(summaries)}"
-    conclude(out, options, houses, all_results, AGENT_TITLES, text, facts)
+
+    def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:
+        facts = {"agents": {name: one._asdict() for name, one in summaries.items()}, "paper": PAPER_TABLE1}
+        return table1(summaries), facts
+
+    compare("objectnav_table1", options, agents, AGENT_TITLES, report, network=network)
 
 
 if __name__ == "__main__":

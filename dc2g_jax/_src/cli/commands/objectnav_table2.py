@@ -5,33 +5,27 @@ guides the same searches.
 """
 
 import dataclasses
-import functools
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from dc2g_jax._src.cli.common import command_line, digests
-from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.cli.searches import ComparisonOptions, conclude, run_searches
+from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.cli.searches import ComparisonOptions, compare
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.files.digests import tree_sha256
-from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, CostMapEstimator
+from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, CostMapEstimator, load_costs
 from dc2g_jax._src.search_indoors.learning.training import CostMapConfig, figures, validation_samples
 from dc2g_jax._src.search_indoors.search.evaluation import (
     ABLATION_TITLES,
     METRICS,
     PAPER_TABLE2,
-    SearchResult,
-    summarize,
+    SearchSummary,
     table2,
 )
-from dc2g_jax._src.search_indoors.search.guides import PredictedCosts
-from dc2g_jax._src.search_indoors.search.named import ON_NETWORK, agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.guides import ON_NETWORK, agent_with
 
 #: Partial maps per prediction.
 _MAPS_A_BATCH = CostMapConfig.batch_size
@@ -53,59 +47,54 @@ class Options(ComparisonOptions):
     maps: int = 2048
 
 
-def open_networks(places: tuple[str | Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
+def open_networks(places: tuple[str | Path, ...]) -> dict[str, CostMapEstimator]:
     """The networks by name of their inputs.
 
     Raises:
       InputError: two networks have the same inputs.
     """
-    found: dict[str, PredictedCosts[CostMapEstimator]] = {}
+    found: dict[str, CostMapEstimator] = {}
     for place in places or (None,):
-        costs = open_costs(place)
-        name = next(name for name, inputs in ABLATIONS.items() if inputs == costs.estimator.architecture.inputs)
+        network = load_costs(place)
+        name = next(name for name, inputs in ABLATIONS.items() if inputs == network.architecture.inputs)
         if name in found:
             raise InputError(
                 f"--networks {place}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"
             )
-        found[name] = costs
+        found[name] = network
     return found
 
 
-def prediction_metrics(
-    costs: PredictedCosts[CostMapEstimator], houses: list[IndoorHouse], options: Options
-) -> dict[str, float]:
+def prediction_metrics(network: CostMapEstimator, houses: list[IndoorHouse], options: Options) -> dict[str, float]:
     """`METRICS` and `OF_CLASSES`, in percent, on partial maps collected by robots in the houses."""
     largest = max(max(house.world.free.shape) for house in houses)
-    samples = collect(houses, costs.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
-    config = CostMapConfig(costs.estimator.architecture)
-    found = figures(costs.estimator, validation_samples(samples, config, options.maps), config)
+    samples = collect(houses, network.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
+    config = CostMapConfig(network.architecture)
+    found = figures(network.weights, validation_samples(samples, config, options.maps), config)
     return {name: found[name] for name in (*METRICS, *OF_CLASSES)}
 
 
 def main(options: Options) -> None:
-    """Predict and search; print and write the table."""
+    """Search and predict; print and write the table."""
     if options.agent not in ON_NETWORK:
         raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
     if options.maps < _MAPS_A_BATCH or options.maps % _MAPS_A_BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)
-    houses, episodes = options.places()
-    inputs = {"dataset": tree_sha256([house.world for house in houses]), **digests(networks=networks)}
-    out = output_folder(options, "objectnav_table2", inputs=inputs)
-    searches, results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
-    metrics = {}
-    for name, costs in networks.items():
-        metrics[name] = prediction_metrics(costs, houses, options)
-        agent = functools.partial(agent_with, options.agent, costs, options.samples, options.noise)
-        results[name] = run_searches(searches, name, agent, houses, episodes, options)
-    summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
-    facts = {
-        "prediction": metrics,
-        "navigation": {name: one._asdict() for name, one in summaries.items()},
-        "paper": {name: one._asdict() for name, one in PAPER_TABLE2.items()},
+    agents = {
+        name: agent_with(options.agent, network, options.samples, options.noise) for name, network in networks.items()
     }
-    text = f"{options.maps} maps, {len(episodes)} searches in {options.described}\n{table2(metrics, summaries)}"
-    conclude(out, options, houses, results, ABLATION_TITLES, text, facts)
+
+    def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:
+        metrics = {name: prediction_metrics(network, houses, options) for name, network in networks.items()}
+        facts = {
+            "prediction": metrics,
+            "navigation": {name: one._asdict() for name, one in summaries.items()},
+            "paper": PAPER_TABLE2,
+        }
+        return f"Predictions on {options.maps} maps.\n{table2(metrics, summaries)}", facts
+
+    compare("objectnav_table2", options, agents, ABLATION_TITLES, report, networks=networks)
 
 
 if __name__ == "__main__":

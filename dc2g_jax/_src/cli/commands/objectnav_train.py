@@ -20,19 +20,19 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.weights import write_network
 from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, vector_size
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.learning.networks import (
     ABLATIONS,
     ENCODER_FILE,
     INPUT_CHANNELS,
     NETWORK_FILE,
     CostMapArchitecture,
-    CostMapEstimator,
     save_costs,
 )
 from dc2g_jax._src.search_indoors.learning.training import (
@@ -67,8 +67,8 @@ class Options(TrainingOptions, Pauses):
       strict: reject a file of houses at its first invalid line, instead of skipping the line.
       validation_houses: number of houses of the validation split.
       collection: samples to collect in the houses.
-      encoder: safetensors file with an image encoder, such as `encoder.safetensors` of another training, which is
-        copied to `out`; by default one is trained first.
+      encoder: image encoder of another training, its `encoder.safetensors`, which is copied to `out`; by default one is
+        trained first.
       encoder_steps: optimizer steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that is better after minutes of training.
       learning_rate: peak learning rate; the recipe's by default.
@@ -123,7 +123,7 @@ class Options(TrainingOptions, Pauses):
         return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
 
 
-def _open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
+def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
     own, folder = options.out / ENCODER_FILE, options.out / "encoder"
     if options.encoder is not None and not own.exists():
@@ -172,9 +172,8 @@ def training_task(
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         weights = first_copy(state.trained)
-        estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
         latest = None if loss is None else float(loss)
-        found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
+        found = {"step": step, "training_loss": latest, **figures(weights, batches, config)}
         card: dict[str, Any] = {
             "houses": options.dataset,
             "cell_size": IndoorMapSettings.cell_size,
@@ -183,7 +182,7 @@ def training_task(
             "commit": commit(),
             "validation": found,
         }
-        save_costs(options.out, estimator, card)
+        save_costs(options.out, weights, config.architecture, card)
         return [found]
 
     return Task(
@@ -208,9 +207,6 @@ def main(options: Options) -> None:
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
     maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
     require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
-    digest = houses_sha256(options.dataset)
-    inputs = {} if digest is None else {"dataset": digest}
-    output_folder(options, "objectnav_train", free=free, inputs=inputs)
     count = 500 if options.count is None and options.dataset == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.dataset}", flush=True)
     read = functools.partial(
@@ -219,13 +215,15 @@ def main(options: Options) -> None:
     houses = read("train", count=count)
     largest = options.validation_houses
     unknown = read("val", count=largest if options.dataset == PROCEDURAL else None)[:largest]
+    inputs = {"dataset": tree_sha256([house.world for house in (*houses, *unknown)])}
+    output_folder(options, "objectnav_train", free=free, inputs=inputs)
     encoder = _open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
     validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
-    config = options.training(vector_size(encoder))
+    config = options.training(encoder.architecture.features)
     facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
     train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)

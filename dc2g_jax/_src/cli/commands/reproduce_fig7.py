@@ -17,7 +17,7 @@ from tqdm import tqdm
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_line, digests, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.episode_figures import plot_episode
@@ -220,8 +220,8 @@ def main(options: Options) -> None:
         "frontier_over_dc2g": ratio,
     }
     write_json(out / "results.json", facts)
-    files = ", ".join(sorted(path.name for path in out.iterdir()))
-    print(f"\nWritten to {out} in {facts['seconds']} s: {files}")
+    print(f"\nIn {facts['seconds']} s:")
+    print_files(out)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from dc2g_jax._src.cli.common import (
 from dc2g_jax._src.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.figures.driving_figures import plot_moments
@@ -30,8 +30,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.vehicles.drive import STATUS_NAMES, Equipment, reset
-from dc2g_jax._src.vehicles.fleet import sites_of
-from dc2g_jax._src.vehicles.trace import Moment, moments
+from dc2g_jax._src.vehicles.fleet import Moment, moments, sites_of
 from dc2g_jax._src.viewer.camera_recording import CameraRecording, MappedFrame
 
 #: Number of moments in the figure.
@@ -89,7 +88,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "reproduce_fig9")
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
     pose = make_pose(start.x, start.y, start.heading)
-    first = reset(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
+    first = reset(jax.random.key(options.seed), (pose, False), site, robot, options.pedestrians)
     print("Compiling, half a minute or so; then it drives.", file=sys.stderr)
     drive = list(tqdm(moments(first, site, robot, SECONDS_LIMIT), desc="driving", unit="frame", file=sys.stderr))
     last = drive[-1].robot
@@ -99,7 +98,7 @@ def main(options: Options) -> None:
     right = 100 * np.mean((last.terrain == house.terrain)[known])
     print(f"{house.name}: {STATUS_NAMES[int(last.status)]} after {int(last.periods) / 10:.1f} s, {len(drive)} frames")
     print(f"of {np.sum(known):,} cells known in the end, {right:.1f} % are as in the house")
-    print(f"Written to {out}: fig9.png, fig9.svg, fig9.pdf, fig9.rrd (open it with: rerun {out / 'fig9.rrd'})")
+    print_files(out)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 import dataclasses
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.ground import component_numbers
 from dc2g_jax._src.procedural.plain import with_door
 from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset
@@ -16,7 +16,7 @@ from dc2g_jax._src.search_indoors.houses.furnishing import furnish
 from dc2g_jax._src.search_indoors.houses.layouts import draw_layout
 from dc2g_jax._src.search_indoors.houses.placing import CHECK_CELLS, Floor, RoomSketch
 from dc2g_jax._src.search_indoors.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
-from dc2g_jax._src.search_indoors.houses.procthor import BOXES_FILE, read_procthor
+from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, inflated
 
@@ -26,18 +26,15 @@ _ENDINGS = (".jsonl.gz", ".jsonl")
 _ATTEMPTS = 100
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IndoorHouse:
+class IndoorHouse(NamedTuple):
     """One house.
 
     Attributes:
-        name: such as `train-17`: the split, and the line of the file or the index of the procedural house.
-        split: 'train', 'val' or 'test'.
-        world: the house as cells.
+      name: such as `train-17`: the split, and the line of the file or the index of the procedural house.
+      world: the house as cells.
     """
 
     name: str
-    split: str
     world: IndoorWorld
 
 
@@ -51,11 +48,6 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
 
     A robot of default radius can drive between all cells in which it fits. This is checked with cells of `CHECK_CELLS`;
     with finer cells there may be isolated gaps behind furniture. All doors are open.
-
-    Args:
-      seed: a non-negative seed.
-      split: 'train', 'val' or 'test'.
-      index: index of the house in the split, from 0.
 
     Raises:
       InputError: there is no such split, or a number is negative.
@@ -110,7 +102,7 @@ def indoor_houses(
         plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
-    return [IndoorHouse(f"{split}-{number}", split, world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
+    return [IndoorHouse(f"{split}-{number}", world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
 
 
 def indoor_house(
@@ -132,7 +124,7 @@ def indoor_house(
                 f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
                 "on; give one of these, or another --split"
             )
-        return IndoorHouse(name, split, world_from_plan(draw_plan(0, split, int(number)), cell_size))
+        return IndoorHouse(name, world_from_plan(draw_plan(0, split, int(number)), cell_size))
     houses = indoor_houses(location, split, cell_size=cell_size)
     for house in houses:
         if house.name == name:
@@ -141,19 +133,6 @@ def indoor_house(
         f"--house {name}: {location} has no such house in its split {split}; give one from {houses[0].name} to "
         f"{houses[-1].name}"
     )
-
-
-def houses_sha256(location: str | os.PathLike[str]) -> str | None:
-    """SHA-256 of the files of training and validation houses; `None` for procedural houses, which have none.
-
-    Raises:
-        InputError: the file of a split is missing.
-    """
-    if location == PROCEDURAL:
-        return None
-    files = [_split_file(Path(location), split) for split in ("train", "val")]
-    files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
-    return arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})
 
 
 def _split_file(folder: Path, split: str) -> Path:

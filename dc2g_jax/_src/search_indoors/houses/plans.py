@@ -124,13 +124,9 @@ class _Grid(NamedTuple):
 
 
 def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> IndoorWorld:
-    """Rasterize a house. A cell belongs to whatever contains its center.
+    """Rasterize a house to cells of `cell_size` meters. A cell belongs to whatever contains its center.
 
     Objects whose center is outside all rooms are left out.
-
-    Args:
-      plan: the house.
-      cell_size: side of a cell, meters.
 
     Raises:
       InputError: the cell size is not positive, or the grid would have more than `MOST_CELLS` cells along a side.

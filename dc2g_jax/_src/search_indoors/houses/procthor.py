@@ -11,7 +11,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -38,20 +38,8 @@ _LONGEST_LINE, _MOST_LINES = 2**24, 10**6
 _MOST_ROOMS, _MOST_OBJECTS = 255, 10_000
 
 
-class AssetBox(NamedTuple):
-    """The bounding box of an asset.
-
-    Attributes:
-      kind: object type, such as `DiningTable`.
-      width: extent along its x axis, meters.
-      height: height, meters.
-      depth: extent along its z axis, meters.
-    """
-
-    kind: str
-    width: float
-    height: float
-    depth: float
+#: The bounding box of an asset: object type, such as `DiningTable`; and extents along x, y (up) and z, meters.
+AssetBox = tuple[str, float, float, float]
 
 
 def _read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
@@ -65,8 +53,9 @@ def _read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     boxes = {}
     for asset, entry in read_object(path, remedy, at_most=_LONGEST_LINE).items():
         try:
-            boxes[asset] = AssetBox(str(entry["type"]), *(_number(abs(size), "box") for size in _list(entry, "box")))
-        except (TypeError, KeyError, InputError):
+            width, height, depth = (_number(abs(size), "box") for size in _list(entry, "box"))
+            boxes[asset] = str(entry["type"]), width, height, depth
+        except (TypeError, KeyError, ValueError):
             raise InputError(f"{path}: asset {short(asset)} is {short(entry)}; {remedy}") from None
     return boxes
 
@@ -108,10 +97,6 @@ def read_procthor(
 
 def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> HousePlan:
     """The plan of one house. ProcTHOR's x and z are the plan's x and y; its clockwise angles become negative.
-
-    Args:
-      house: the house, parsed from JSON.
-      boxes: asset -> its box.
 
     Raises:
       InputError: something in it is missing or invalid.
@@ -218,13 +203,13 @@ def _pieces(entry: Any, boxes: Mapping[str, AssetBox], *, on_floor: bool) -> Ite
     asset = str(_field(entry, "assetId"))
     if asset not in boxes:
         raise InputError(f"asset {short(asset)} is not in the table of boxes")
-    box, position = boxes[asset], _field(entry, "position")
+    (name, width, height, depth), position = boxes[asset], _field(entry, "position")
     x, middle, z = (_number(_field(position, axis), axis) for axis in "xyz")
     turn = _number(_field(_field(entry, "rotation"), "y"), "y", _FULLY_TURNED)
-    kind = PROCTHOR_CLASSES.get(box.kind, OTHER)
-    bottom, top = middle - box.height / 2, middle + box.height / 2
+    kind = PROCTHOR_CLASSES.get(name, OTHER)
+    bottom, top = middle - height / 2, middle + height / 2
     stands = on_floor and bottom <= _HANGING
     if top > 0 and (kind != OTHER or stands):  # objects below the floor are neither visible nor in the way
-        yield Furniture(kind, x, z, box.width, box.depth, -math.radians(turn), top)
+        yield Furniture(kind, x, z, width, depth, -math.radians(turn), top)
     for child in _list(entry, "children") if entry.get("children") else ():
         yield from _pieces(child, boxes, on_floor=False)

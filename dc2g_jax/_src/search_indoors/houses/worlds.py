@@ -9,10 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int16, UInt8
+from jaxtyping import Bool, Float, Int16, UInt8
 from scipy.ndimage import distance_transform_edt
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.ground import component_numbers, connected_to
 from dc2g_jax._src.mapping.scene import Scene, scene_from_heights
 from dc2g_jax._src.search_indoors.maps.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, NO_COLOR, OBJECT_COLORS
@@ -63,10 +62,6 @@ class IndoorWorld:
         """Cells in whose center a robot touches no blocked cell. Space beyond the grid does not count as blocked."""
         return ~inflated(~np.asarray(self.free), ROBOT_RADIUS, float(self.cell_size))
 
-    def goals(self, goal: int | Array) -> Bool[Cells, "h w"]:
-        """The cells whose highest object has this class."""
-        return self.classes == goal
-
 
 def scene(world: IndoorWorld) -> Scene:
     """The scene of a house for the simulated camera, with one tile per cell. Scenes of equal size can be stacked."""
@@ -78,10 +73,6 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
 
     Houses have no textures. Objects have the colors of their classes with random variation. Floors differ by the type
     of room, since kitchens and bathrooms have other floors than bedrooms. All walls look alike.
-
-    Args:
-      world: one house.
-      rng: random number generator of the variation between objects.
     """
     objects = np.append(OBJECT_COLORS[np.asarray(world.object_kinds)], [_WALL], axis=0)
     objects = objects + rng.normal(0, 14, objects.shape)
@@ -94,55 +85,19 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
 
 
 def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
-    """Pad a house below and to the right with outside, so that positions do not change.
+    """Pad a house to so many rows, columns, rooms (with the outside) and objects. Positions of cells do not change."""
+    sizes = {"room_kinds": (rooms,), "object_kinds": (objects,)}
 
-    Args:
-      world: one house.
-      rows: rows of the padded grid.
-      columns: columns of the padded grid.
-      rooms: number of rooms after padding, including the outside.
-      objects: number of objects after padding.
+    def filled(name: str, leaf: np.ndarray) -> np.ndarray:
+        lacking = [(0, most - size) for most, size in zip(sizes.get(name, (rows, columns)), leaf.shape, strict=True)]
+        return np.pad(leaf, lacking, constant_values=-1 if name == "instances" else 0)
 
-    Raises:
-      InputError: the house is larger than that.
-    """
-    height, width = world.free.shape
-    more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.object_kinds)
-    if min(more) < 0:
-        raise InputError(
-            f"a house of {height} x {width} cells, {len(world.room_kinds)} rooms with the outside and "
-            f"{len(world.object_kinds)} objects does not fit into {rows} x {columns}, {rooms} and {objects}; "
-            "give larger numbers"
-        )
-
-    def filled(leaf: np.ndarray, *lacking: int) -> np.ndarray:
-        after = [*lacking, *(0 for _ in range(leaf.ndim - len(lacking)))]
-        nothing = -1 if leaf.dtype == np.int16 else 0
-        return np.pad(leaf, [(0, size) for size in after], constant_values=nothing)
-
-    cells = {
-        name: filled(np.asarray(getattr(world, name)), *more[:2])
-        for name in ("free", "heights", "classes", "instances", "rooms")
-    }
-    return world.replace(  # type: ignore[attr-defined]
-        **cells,
-        room_kinds=filled(np.asarray(world.room_kinds), more[2]),
-        object_kinds=filled(np.asarray(world.object_kinds), more[3]),
-    )
+    leaves = {name: filled(name, leaf) for name, leaf in vars(world).items() if name != "cell_size"}
+    return world.replace(**leaves)  # type: ignore[attr-defined]
 
 
 def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
-    """Pad houses to a common size, so that they can be stacked for `jax.vmap` and `jax.lax.map`.
-
-    Args:
-      worlds: at least one house, all with cells of the same size.
-
-    Raises:
-      InputError: there are no houses, or their cell sizes differ.
-    """
-    sizes = sorted({float(world.cell_size) for world in worlds})
-    if len(sizes) != 1:
-        raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with equal cells")
+    """Pad houses with equal cells, one at least, to a common size, so that they can be stacked."""
     shapes = [(*world.free.shape, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
     return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]
 
@@ -161,30 +116,19 @@ def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
 
 
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:
-    """The cells on which a robot has an object of a class within `REACH`, in the room of the object.
-
-    Args:
-      world: one house.
-      goal: class index.
-    """
+    """The cells on which a robot has an object of a class within `REACH`, in the room of the object."""
     cell_size, rooms = float(world.cell_size), np.asarray(world.rooms)
-    goals, near = np.asarray(world.goals(goal)), np.zeros(rooms.shape, bool)
+    goals, near = np.asarray(world.classes) == goal, np.zeros(rooms.shape, bool)
     for room in np.unique(rooms[goals]):
         near |= (rooms == room) & (_distance_to(goals & (rooms == room), cell_size) <= REACH)
     return near & world.fits
 
 
 def start_cells(world: IndoorWorld, goal: int, *, distance: float) -> Bool[np.ndarray, "h w"]:
-    """The cells from which a robot can reach an object of a class, at some distance from all objects of the class.
-
-    Args:
-      world: one house.
-      goal: class index.
-      distance: least straight-line distance to the nearest object of the class, meters.
-    """
+    """The cells from which a robot can reach an object of a class, `distance` meters or more from all of the class."""
     cell_size = float(world.cell_size)
     connected = connected_to(approaches(world, goal), world.fits)
-    return connected & (_distance_to(np.asarray(world.goals(goal)), cell_size) >= distance)
+    return connected & (_distance_to(np.asarray(world.classes) == goal, cell_size) >= distance)
 
 
 def sample_starts(
@@ -193,13 +137,6 @@ def sample_starts(
     """Random starts on `start_cells` of the default robot: x and y in the world, meters, and yaw, radians.
 
     A start is in the center of a cell and has a random yaw. The result is empty, [0 3], if there are no start cells.
-
-    Args:
-      world: one house.
-      goal: class index.
-      count: number of starts.
-      rng: random number generator.
-      distance: least straight-line distance to the nearest object of the class, meters.
     """
     rows, columns = np.nonzero(start_cells(world, goal, distance=distance))
     if not rows.size:

@@ -19,8 +19,8 @@ from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region, padded_alike, painted, scene
-from dc2g_jax._src.search_indoors.learning.data import JourneySet, cell_codes, in_millimeters
-from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder
+from dc2g_jax._src.search_indoors.learning.data import JourneySet, in_millimeters, map_of
+from dc2g_jax._src.search_indoors.learning.midlevel import TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.camera import CameraView, camera_over, indoor_camera, view
 from dc2g_jax._src.search_indoors.maps.classes import GOALS
 from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, inflated, with_tight_cells
@@ -168,11 +168,7 @@ class CollectionConfig:
 
 
 def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
-    """The worlds of the houses that are not too large, padded to one size.
-
-    Args:
-      houses: to choose from.
-      largest: cells along a side.
+    """The worlds of the houses with sides of at most `largest` cells, padded to one size.
 
     Raises:
       InputError: there is none.
@@ -185,11 +181,6 @@ def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
 
 def _random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
     """Rows and columns of random cells in the largest part of a house that a robot can drive about.
-
-    Args:
-      world: one house.
-      count: how many.
-      rng: where chance comes from.
 
     Raises:
       InputError: the robot fits nowhere.
@@ -239,11 +230,11 @@ def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> tuple:
 
 @functools.partial(jit, static_argnames=("mesh", "cell_size", "views"))
 def _collect_houses(
-    houses: tuple, encoder: ImageEncoder, *, mesh: Mesh, cell_size: float, views: int
+    houses: tuple, encoder: TrainedEncoder, *, mesh: Mesh, cell_size: float, views: int
 ) -> tuple[UInt16[Array, "devices 1 goal h w"], Journey, Float16[Array, "devices 1 n 2 f"]]:
     """Labels, journeys, and features of images and of their mirror images, of a house on each device."""
 
-    def on_device(houses: tuple, encoder: ImageEncoder) -> tuple[Array, Journey, Array]:
+    def on_device(houses: tuple, encoder: TrainedEncoder) -> tuple[Array, Journey, Array]:
         world, house, paint, places, starts, key = jax.tree.map(lambda leaf: leaf[0], houses)
         labels, distances = _distances(world.free, world.classes, places, cell_size)
         keys = jax.random.split(jax.random.wrap_key_data(key), len(starts))
@@ -260,17 +251,11 @@ def _collect_houses(
 
 def collect(
     houses: Sequence[IndoorHouse],
-    encoder: ImageEncoder,
+    encoder: TrainedEncoder,
     config: CollectionConfig,
     on_progress: Callable[[int], None] | None = None,
 ) -> JourneySet:
-    """Send robots through houses, on every device at once; the same for the same seed.
-
-    Args:
-      houses: those larger than the configuration allows are left out.
-      encoder: what makes features of what robots see.
-      config: how many samples.
-      on_progress: called with the number of houses that are done.
+    """Send robots through the houses that are not too large, on every device at once; the same for the same seed.
 
     Raises:
       InputError: no house can be used.
@@ -291,7 +276,7 @@ def collect(
     labels, journeys, features = jax.tree.map(lambda *leaves: np.concatenate(leaves), *rounds)
     headings = journeys.headings.reshape(-1, config.views)
     return JourneySet(
-        cells=np.stack([np.asarray(cell_codes(world)) for world in worlds]),
+        cells=np.stack([np.asarray(map_of(world)) for world in worlds]),
         distance=labels,
         house=np.repeat(np.arange(len(worlds), dtype=np.int32), config.journeys),
         first_seen=journeys.first_seen.reshape(-1, *journeys.first_seen.shape[2:]),
@@ -304,13 +289,7 @@ def collect(
 def random_views(
     houses: Sequence[IndoorHouse], count: int, seed: int, largest: int = CollectionConfig.largest
 ) -> CameraView:
-    """Pictures from random places in random directions, to train an encoder on.
-
-    Args:
-      houses: those larger than allowed are left out.
-      count: pictures a house.
-      seed: where chance comes from.
-      largest: cells along the side of the largest house to use.
+    """`count` pictures a house from random places in random directions, to train an encoder on.
 
     Raises:
       InputError: no house can be used.

@@ -16,16 +16,12 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16, UInt32
 
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
-from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from dc2g_jax._src.search_indoors.maps.cost_maps import Cells
-from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings, square
+from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings, has, square
 from dc2g_jax._src.training.pairs import turned
 
 #: Sides of the local and the global map in cells (section II-B).
 LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
-
-#: Codes of cells: unexplored, free floor, obstacle without class. Obstacles with a class have `OBSTACLE` + class.
-UNEXPLORED, FREE, OBSTACLE = 0, 1, 2
 
 #: Stands for an infinite distance. Distances are stored in whole millimeters.
 _UNREACHABLE = np.iinfo(np.uint16).max
@@ -43,12 +39,6 @@ ALL_SYMMETRIES = (0.125,) * 8
 Normalize = Callable[[Array, Array], Array]
 
 
-def _metric(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
-    """Tens of meters to the goal."""
-    del navigable
-    return meters / 10
-
-
 def _share(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
     """Shares of the longest path from a cell of the local map."""
     return meters / jnp.maximum(jnp.max(jnp.where(navigable, meters, 0)), 1e-3)
@@ -61,9 +51,9 @@ def _relative(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Flo
 
 
 #: Functions from distances to costs, by name. The paper only says "normalized". `share` is the closest, as the paper's
-#: figures show costs from green to red in each map, but its scale differs from map to map. The other two have a fixed
-#: scale, and `relative` does not ask for the distance of far goals, about which a partial map says least.
-NORMALIZATIONS: Mapping[str, Normalize] = MappingProxyType({"share": _share, "metric": _metric, "relative": _relative})
+#: figures show costs from green to red in each map, but its scale differs from map to map. `relative` has a
+#: fixed scale, and does not ask for the distance of far goals, about which a partial map says least.
+NORMALIZATIONS: Mapping[str, Normalize] = MappingProxyType({"share": _share, "relative": _relative})
 
 
 @struct.dataclass
@@ -71,7 +61,7 @@ class JourneySet:
     """Houses, their distances to goals, and journeys through them.
 
     Attributes:
-      cells: codes of the cells, see `cell_codes`.
+      cells: cells of the houses, see `map_of`.
       distance: distance from each free cell to the nearest goal of each class, millimeters.
       house: house of each journey.
       first_seen: number of the view that first showed each cell, see `exploring.Journey`.
@@ -80,7 +70,7 @@ class JourneySet:
       features: mid-level features of each camera image and of its mirror image.
     """
 
-    cells: UInt8[Cells, "house h w"]
+    cells: UInt32[Cells, "house h w"]
     distance: UInt16[Cells, "house goal h w"]
     house: Int[Cells, "journey"]
     first_seen: UInt8[Cells, "journey h w"]
@@ -110,29 +100,17 @@ class Samples:
     cost: Float[Array, "*b 140 140"]
 
 
-def cell_codes(world: IndoorWorld) -> UInt8[Array, "*b h w"]:
-    """The codes of the cells of a fully explored house: `FREE`, `OBSTACLE`, or `OBSTACLE` + class.
-
-    The outside is never seen and therefore `UNEXPLORED`.
-    """
-    standing = jnp.asarray(world.obstacle)
-    codes = jnp.where(standing, OBSTACLE + jnp.asarray(world.classes), jnp.where(world.free, FREE, UNEXPLORED))
-    return codes.astype(jnp.uint8)
+def map_of(world: IndoorWorld) -> UInt32[Array, "*b h w"]:
+    """The cells of a robot's map of a fully explored house, see `maps.mapping.IndoorMap`. The outside is never seen."""
+    standing, kind = jnp.asarray(world.obstacle), jnp.asarray(world.classes, jnp.uint32)
+    seen = (standing | jnp.asarray(world.free)).astype(jnp.uint32)
+    labeled = jnp.where(kind > 0, jnp.uint32(1) << jnp.maximum(kind, 1) - 1, jnp.uint32(0))
+    return seen << EXPLORED_CHANNEL | standing.astype(jnp.uint32) << OBSTACLE_CHANNEL | labeled
 
 
 def in_millimeters(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
     """Distances in meters as stored in the data set. Distances of 65 m and more count as infinite."""
     return jnp.where(distance < _UNREACHABLE / 1000, jnp.round(distance * 1000), _UNREACHABLE).astype(jnp.uint16)
-
-
-#: Code of a cell -> its channels in a robot's map, see `maps.mapping.IndoorMap`.
-_SEEN, _HIT = 1 << EXPLORED_CHANNEL, 1 << OBSTACLE_CHANNEL
-_CHANNELS = np.array([0, _SEEN, _SEEN | _HIT, *(_SEEN | _HIT | 1 << n for n in range(SEMANTIC_CLASSES))], np.uint32)
-
-
-def map_cells(codes: UInt8[Array, "h w"]) -> UInt32[Array, "h w"]:
-    """The cells of a robot's map, from codes of cells."""
-    return jnp.asarray(_CHANNELS)[codes]
 
 
 def turned_heading(heading: Float[Array, ""], symmetry: Int[Array, ""]) -> Float[Array, ""]:
@@ -150,33 +128,24 @@ def make_sample(
     symmetry: Int[Array, ""],
     normalize: Normalize,
 ) -> Samples:
-    """The inputs of a network at a view of a journey, and the labels for a goal.
-
-    Args:
-      data: the data set.
-      journey: index of the journey.
-      view: index of the view.
-      target: the wanted class, an index into `GOALS`.
-      symmetry: one of `SYMMETRIES`.
-      normalize: function from distances to costs, see `NORMALIZATIONS`.
-    """
+    """The inputs of a network at a view of a journey, and the labels for a goal, in one of `SYMMETRIES`."""
     house, cell = data.house[journey], data.places[journey, view].astype(jnp.int32)
-    known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint8(UNEXPLORED))
+    known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint32(0))
 
     def around(grid: Array, side: int, beyond: int) -> Array:
         return turned(square(grid, cell - side // 2, side, beyond), symmetry)
 
-    window = around(known, GLOBAL, UNEXPLORED)
-    truth = around(data.cells[house], LOCAL, UNEXPLORED)
+    truth = around(data.cells[house], LOCAL, 0)
+    free = has(truth, EXPLORED_CHANNEL) & ~has(truth, OBSTACLE_CHANNEL)
     distance = around(data.distance[house, target], LOCAL, _UNREACHABLE)
-    navigable = (truth == FREE) & (distance != _UNREACHABLE)
+    navigable = free & (distance != _UNREACHABLE)
     mirrored = jax.lax.population_count(symmetry) % 2
     return Samples(
-        cells=map_cells(window),
+        cells=around(known, GLOBAL, 0),
         target=target,
         heading=turned_heading(data.headings[journey, view], symmetry),
         features=data.features[journey, view, mirrored].astype(jnp.float32),
-        occupied=truth != FREE,
+        occupied=~free,
         cost=jnp.where(navigable, normalize(distance.astype(jnp.float32) / 1000, navigable), jnp.inf),
     )
 
@@ -191,12 +160,7 @@ def draw_samples(
 ) -> Samples:
     """A random batch: uniform over views of all journeys, and over the goals that can be reached from each view.
 
-    Args:
-      key: random key.
-      data: the data set.
-      batch_size: number of samples.
-      symmetries: probability of each of `SYMMETRIES`.
-      normalize: function from distances to costs, see `NORMALIZATIONS`.
+    `symmetries` are the probabilities of `SYMMETRIES`.
     """
     journey_key, view_key, goal_key, turn_key = jax.random.split(key, 4)
     journeys, views = data.headings.shape

@@ -1,47 +1,30 @@
-"""Mid-level features of camera images (section II-B): the interface of encoders, and two encoders.
+"""Mid-level features of camera images (section II-B), and the encoder that computes them.
 
-The paper uses pretrained encoders for semantic segmentation, object classification and depth. The default here is a
-small network trained for these three tasks together on images of the simulator. Its answers to all tasks depend on one
-feature vector. Other encoders are read from files.
+The paper uses pretrained encoders for semantic segmentation, object classification and depth. Here, one small network
+is trained for these three tasks on images of the simulator. Its answers to all tasks depend on one feature vector.
 """
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 from flax import nnx, struct
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import patches
-from dc2g_jax._src.estimation.weights import read_network, read_safetensors, with_weights
+from dc2g_jax._src.estimation.weights import read_network, with_weights
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 
-#: Side of the blocks of pixels for which the default encoder is trained to answer, and rows and columns of them.
+#: Side of the blocks of pixels for which the encoder is trained to answer, and rows and columns of them.
 BLOCK = 4
 _ASKED = (VIEW_SIZE[0] // BLOCK, VIEW_SIZE[1] // BLOCK)
 
 
-class ImageEncoder(Protocol):
-    """Computes a vector of mid-level features of an image."""
-
-    def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
-        """The features of images."""
-        ...
-
-
-def vector_size(encoder: ImageEncoder) -> int:
-    """Length of an encoder's vector."""
-    image = jax.ShapeDtypeStruct((1, *VIEW_SIZE, 3), jnp.uint8)
-    return jax.eval_shape(lambda images: encoder.encode(images), image).shape[1]
-
-
 @dataclasses.dataclass(frozen=True)
 class EncoderArchitecture:
-    """Hyperparameters of the default encoder.
+    """Hyperparameters of a `SmallEncoder`.
 
     Attributes:
       widths: channels at 1/4, 1/8 and 1/16 of the image's resolution.
@@ -53,7 +36,7 @@ class EncoderArchitecture:
 
 
 class Answers(struct.PyTreeNode):
-    """Answers of the default encoder to the three tasks, for blocks of 4 x 4 pixels.
+    """Answers of the encoder to the three tasks, for blocks of 4 x 4 pixels.
 
     Attributes:
       classes: log-odds of the class of each block.
@@ -97,7 +80,7 @@ class SmallEncoder(nnx.Module):
 
 @struct.dataclass
 class TrainedEncoder:
-    """The default encoder, see `ImageEncoder`.
+    """A trained encoder.
 
     Attributes:
       weights: weights of `SmallEncoder`.
@@ -112,62 +95,13 @@ class TrainedEncoder:
         return with_weights(SmallEncoder, self.architecture, self.weights).encode(images)
 
 
-@struct.dataclass
-class ConvolutionEncoder:
-    """A foreign encoder, see `ImageEncoder`: convolutions with rectifiers, whose last output is the vector.
-
-    Attributes:
-      kernels: kernel of each layer with output channels first, as in PyTorch.
-      biases: bias of each layer.
-      stride: stride of all layers.
-    """
-
-    kernels: tuple[Float[Array, "out in rows columns"], ...]
-    biases: tuple[Float[Array, "out"], ...]
-    stride: int = struct.field(pytree_node=False, default=2)
-
-    def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
-        """The features of images. Pixels are scaled to -1 to 1, and inputs of layers padded by half a kernel."""
-        at = images.astype(jnp.float32).transpose(0, 3, 1, 2) / 127.5 - 1
-        for kernel, bias in zip(self.kernels, self.biases, strict=True):
-            padding = [(size // 2, size // 2) for size in kernel.shape[2:]]
-            at = jax.lax.conv_general_dilated(at, kernel, (self.stride, self.stride), padding)
-            at = nnx.relu(at + bias[:, None, None])
-        return at.reshape(len(at), -1)
-
-
-def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
-    """Read an encoder from a safetensors file.
-
-    A file with an architecture in its metadata holds the default encoder, see
-    `estimation.weights.write_network`. Other files must hold a `ConvolutionEncoder`: arrays `layers.0.weight`
-    [out in rows columns], `layers.0.bias` [out], `layers.1.weight` and so on, and in the metadata the `stride` of the
-    layers, 2 by default. Other kinds of encoders need an implementation of `ImageEncoder`.
+def load_encoder(path: str | Path) -> TrainedEncoder:
+    """Read an encoder from a safetensors file, see `estimation.weights.write_network`.
 
     Raises:
       InputError: the file cannot be read or holds no encoder.
     """
-    tensors, facts = read_safetensors(path)
-    if "architecture" in facts:
-        return TrainedEncoder(*read_network(path, SmallEncoder, _read_architecture)[:2])
-    remedy = "give a file of convolutions layers.0.weight, layers.0.bias, layers.1.weight and so on"
-    names = [f"layers.{layer}.{part}" for layer in range(len(tensors) // 2) for part in ("weight", "bias")]
-    if not names or sorted(names) != sorted(tensors):
-        raise InputError(f"{path}: has arrays {', '.join(sorted(tensors)[:4]) or 'none'}; {remedy}")
-    arrays = [jnp.asarray(tensors[name], jnp.float32) for name in names]
-    kernels, biases = tuple(arrays[::2]), tuple(arrays[1::2])
-    channels = 3
-    for layer, (kernel, bias) in enumerate(zip(kernels, biases, strict=True)):
-        if kernel.ndim != 4 or kernel.shape[1] != channels or bias.shape != kernel.shape[:1]:
-            raise InputError(
-                f"{path}: layer {layer} has a weight {kernel.shape} and a bias {bias.shape}, but {channels} channels "
-                f"come to it; {remedy}"
-            )
-        channels = kernel.shape[0]
-    stride = facts.get("stride", "2")
-    if not stride.isdecimal() or int(stride) < 1:
-        raise InputError(f"{path}: the stride is {stride!r}; write a whole number above 0 in its metadata")
-    return ConvolutionEncoder(kernels=kernels, biases=biases, stride=int(stride))
+    return TrainedEncoder(*read_network(path, SmallEncoder, _read_architecture)[:2])
 
 
 def _read_architecture(facts: dict[str, Any]) -> EncoderArchitecture:

@@ -18,19 +18,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx, struct
-from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Down, Residual, Up, patches, unpatched
+from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.estimation.weights import read_network, with_weights, write_network
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder, load_encoder, vector_size
+from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.search_indoors.learning.midlevel import TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import MAP_CHANNELS, IndoorMapSettings
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
+
+#: The shipped network and its encoder.
+_SHIPPED = "weights/cost_maps_indoors"
+
+#: Distance that corresponds to a cost of 1, meters, of networks trained on costs with a fixed scale.
+COST_UNIT = 10.0
 
 #: Channels of the network's input: of the local map, then of the global one.
 INPUT_CHANNELS = 2 * MAP_CHANNELS
@@ -108,17 +115,14 @@ class Prediction:
         return jax.nn.sigmoid(self.occupancy_logits)
 
 
-def fused_cost(
-    occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"], threshold: ArrayLike = 0.5
-) -> Float[Array, "*b h w"]:
-    """The final cost map: the navigation cost, infinite in cells that are occupied with more than some probability.
+def fused_cost(occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"]) -> Float[Array, "*b h w"]:
+    """The final cost map: the navigation cost, infinite in cells that are more likely occupied than free.
 
     Args:
-      occupancy: probability that a cell is not free floor.
+      occupancy: probability that a cell is not free floor; the paper's threshold theta_occ is 0.5 here.
       cost: navigation cost.
-      threshold: that probability, above 0 and below 1 (the paper's theta_occ).
     """
-    return jnp.where(occupancy > threshold, jnp.inf, cost)
+    return jnp.where(occupancy > 0.5, jnp.inf, cost)
 
 
 def heading_bin(heading: Float[Array, "*b"]) -> Int[Array, "*b"]:
@@ -224,55 +228,55 @@ def apply(architecture: CostMapArchitecture, weights: dict[str, Any], *inputs: A
 
 @struct.dataclass
 class CostMapEstimator:
-    """A trained network.
+    """A trained network and the encoder of camera images that it was trained with.
 
     Attributes:
       weights: weights of `CostMapNetwork`, floats of any precision.
+      encoder: computes mid-level features.
       architecture: architecture of the network.
     """
 
     weights: Any
+    encoder: TrainedEncoder
     architecture: CostMapArchitecture = struct.field(pytree_node=False)
 
     def estimate(
         self,
         maps: Float[Array, "36 h w"],
         target: Integer[Array, ""],
-        features: Float[Array, "f"],
         heading: Float[Array, ""],
-    ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-        """For each cell of the local map, the probability that it is not free floor, and the navigation cost.
+        image: UInt8[Array, "48 64 3"],
+    ) -> Float[Array, "h w"]:
+        """Cost of each cell of the local map relative to the best cell, meters, with arguments as in `CostMapNetwork`.
 
-        The arguments are those of `CostMapNetwork` for one robot, without the axis of the batch.
+        Infinite where a cell is predicted to be occupied. A network trained on shares of the longest path
+        (`--recipe paper`) has no scale and is used as if it had that of the others.
         """
-        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading, features))
-        prediction = apply(self.architecture, self.weights, *one)
-        return prediction.occupancy[0], prediction.cost[0]
+        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading))
+        prediction = apply(self.architecture, self.weights, *one, self.encoder.encode(image[None]))
+        cost = fused_cost(prediction.occupancy[0], prediction.cost[0])
+        return jnp.where(jnp.isinf(cost), cost, COST_UNIT * (cost - jnp.min(cost)))
 
 
-def save_costs(folder: Path, estimator: CostMapEstimator, card: dict[str, Any]) -> None:
-    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files.
-
-    Args:
-      folder: folder that the encoder was saved to.
-      estimator: the network.
-      card: further facts about it, as JSON values.
-    """
+def save_costs(folder: Path, weights: Any, architecture: CostMapArchitecture, card: dict[str, Any]) -> None:
+    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files."""
     facts = {"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **card}
-    write_network(folder / NETWORK_FILE, estimator.weights, estimator.architecture, facts)
+    write_network(folder / NETWORK_FILE, weights, architecture, facts)
     digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
     write_json(folder / "network.json", {**card, "sha256": digests})
 
 
-def load_costs(folder: Path) -> tuple[CostMapEstimator, ImageEncoder]:
+def load_costs(place: str | Path | None = None) -> CostMapEstimator:
     """Read a trained network and its encoder.
 
     Args:
-      folder: output folder of `dc2g objectnav train`.
+      place: output folder of `dc2g objectnav train`, or a place on the Hub, see `estimation.hub.local_folder`; `None`
+        for the shipped network.
 
     Raises:
       InputError: a file is missing or invalid, or the two do not match.
     """
+    folder = resource(_SHIPPED) if place is None else local_folder(place)
     for name in (NETWORK_FILE, ENCODER_FILE):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: has no {name}; give a folder that `dc2g objectnav train` has written")
@@ -285,12 +289,12 @@ def load_costs(folder: Path) -> tuple[CostMapEstimator, ImageEncoder]:
             f"{path}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
             f"{IndoorMapSettings.cell_size:g} m; train one anew"
         )
-    if (size := vector_size(encoder)) != architecture.features:
+    if (size := encoder.architecture.features) != architecture.features:
         raise InputError(
             f"{folder}: {ENCODER_FILE} makes {size} features, {NETWORK_FILE} takes {architecture.features}; take both "
             "from one folder"
         )
-    return CostMapEstimator(weights=weights, architecture=architecture), encoder
+    return CostMapEstimator(weights=weights, encoder=encoder, architecture=architecture)
 
 
 def _read_architecture(facts: dict[str, Any]) -> CostMapArchitecture:

@@ -28,7 +28,6 @@ from dc2g_jax._src.search_indoors.learning.data import (
 from dc2g_jax._src.search_indoors.learning.losses import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
-    LossWeights,
     action_accuracy,
     confusion,
     occupancy_scores,
@@ -41,7 +40,7 @@ from dc2g_jax._src.search_indoors.learning.midlevel import (
     SmallEncoder,
     TrainedEncoder,
 )
-from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
+from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, Prediction, fused_cost
 from dc2g_jax._src.search_indoors.maps.camera import CameraView
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
@@ -104,7 +103,6 @@ class CostMapConfig(Supervised):
     Attributes:
       architecture: architecture of the network.
       recipe: settings of the optimization.
-      loss_weights: weights of the three losses.
       steps: total number of optimizer steps.
       batch_size: samples per step.
       seed: seed of weights and batches.
@@ -115,7 +113,6 @@ class CostMapConfig(Supervised):
 
     architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
     recipe: Recipe = BETTER_RECIPE
-    loss_weights: LossWeights = dataclasses.field(default_factory=LossWeights)
     steps: int = 5000
     batch_size: int = 16
     seed: int = 0
@@ -168,8 +165,7 @@ def mean_loss(
     """Mean of equation (4) over a batch, the mean of each of its losses, and the predictions."""
     maps = jax.vmap(functools.partial(network_maps, local=LOCAL))(samples.cells)
     prediction = networks.apply(config.architecture, weights, maps, samples.target, samples.heading, samples.features)
-    of_map = functools.partial(total_loss, weights=config.loss_weights)
-    loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+    loss, losses = jax.tree.map(jnp.mean, jax.vmap(total_loss)(prediction, samples.occupied, samples.cost))
     return loss, (losses, prediction)
 
 
@@ -205,15 +201,9 @@ def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> l
     return [draw(key, data) for key in keys]
 
 
-def figures(estimator: CostMapEstimator, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
-    """Losses, and metrics of section III-B in percent, on validation samples.
-
-    Args:
-      estimator: the network.
-      batches: samples, see `validation_samples`.
-      config: configuration of its training.
-    """
-    found = [jax.tree.map(np.asarray, _examine(estimator.weights, batch, config)) for batch in batches]
+def figures(weights: Any, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
+    """Losses, and metrics of section III-B in percent, on validation samples."""
+    found = [jax.tree.map(np.asarray, _examine(weights, batch, config)) for batch in batches]
     counts = sum(batch["confusion"].astype(np.float64) for batch in found)
     mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}
     percent: dict[str, Any] = occupancy_scores(jnp.asarray(counts, jnp.float32))

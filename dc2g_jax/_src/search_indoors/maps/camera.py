@@ -64,13 +64,7 @@ def camera_over(cell: Int[Array, "2"], heading: ArrayLike, cell_size: ArrayLike)
 
 
 def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> CameraView:
-    """Render the camera's picture in a house, with unlimited range.
-
-    Args:
-      scene: scene of the house.
-      paint: color of each cell, see `houses.worlds.painted`.
-      pose: pose of the camera.
-    """
+    """Render the camera's picture in a house with cells of these colors, with unlimited range."""
     hits = cast_all(scene, pose, rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose), math.inf)
     light = jnp.asarray(_LIGHT, jnp.float32)[hits.face]
     colors = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]

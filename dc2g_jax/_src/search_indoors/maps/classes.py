@@ -53,6 +53,9 @@ NO_OBJECT = 0
 #: Class indices of the goals, in the paper's order (section III-C).
 GOALS: tuple[int, ...] = (BED, CHAIR, SINK, PLANT, COUCH)
 
+#: Their names.
+TARGETS = tuple(OBJECT_CLASSES[goal] for goal in GOALS)
+
 #: Room type -> ProcTHOR's name. Index 0 is the outside.
 ROOM_NAMES: tuple[str, ...] = ("outside", "Bedroom", "Bathroom", "Kitchen", "LivingRoom")
 BEDROOM, BATHROOM, KITCHEN, LIVING_ROOM = range(1, len(ROOM_NAMES))

@@ -21,7 +21,6 @@ from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.mapping.camera import Frame, Intrinsics, check_shapes, points, rays
 from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from dc2g_jax._src.vehicles.footprint import cell_at
@@ -51,9 +50,6 @@ class IndoorMapSettings:
       lowest: points lower than this above the floor are no obstacles, meters.
       highest: points higher than this, the height of the robot, are no obstacles, meters.
       inset: a return nearer than this to the cell behind it counts for that cell, meters.
-
-    Raises:
-      InputError: a value is out of range.
     """
 
     cells: int = struct.field(pytree_node=False, default=420)
@@ -63,20 +59,6 @@ class IndoorMapSettings:
     lowest: float = struct.field(pytree_node=False, default=0.1)
     highest: float = struct.field(pytree_node=False, default=1.5)
     inset: float = struct.field(pytree_node=False, default=0.001)
-
-    def __post_init__(self) -> None:
-        whole = [isinstance(value, int) for value in (self.local, self.cells)]
-        multiple = self.cells >= self.local > 0 and not self.cells % self.local
-        for name, sound, remedy in (
-            ("local", whole[0] and self.local >= 1, "give a whole number above 0"),
-            ("cells", whole[1] and multiple, f"give a multiple of {self.local}"),
-            ("cell_size", 0 < self.cell_size < math.inf, "give meters above 0"),
-            ("reach", 0 < self.reach < math.inf, "give meters above 0"),
-            ("inset", 0 <= self.inset < math.inf, "give meters, 0 or more"),
-            ("highest", self.highest > self.lowest, f"give meters above {self.lowest}"),
-        ):
-            if not sound:
-                raise InputError(f"{name} of the indoor map is {getattr(self, name)}; {remedy}")
 
     @property
     def window(self) -> int:
@@ -131,12 +113,6 @@ def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, setti
     A cell whose floor is in view, without anything that the robot could hit, loses its obstacle and classes. This
     corrects points that were assigned to a neighboring cell.
 
-    Args:
-      indoor_map: the map so far.
-      frame: depth, classes and pose of the camera.
-      intrinsics: intrinsics of the camera.
-      settings: the settings with which the map was made.
-
     Raises:
       InputError: the sizes of frame and intrinsics do not match.
     """
@@ -183,11 +159,6 @@ def _booked(
 
     A surface between two cells belongs to the cell behind it, as seen from the camera. A point is moved only across the
     border nearest to it. If it were moved along its ray, a point at the edge of a wall could pass the wall's end.
-
-    Args:
-      shown: the points, meters.
-      origin: origin of their rays, meters.
-      settings: settings of the map.
     """
     scale = jnp.array([-1, 1], jnp.float32) / settings.cell_size
     place = shown[..., 1::-1] * scale
@@ -225,12 +196,6 @@ def mark_explored(
     """Mark the cells around the robot as explored, whether it has seen them or not.
 
     Obstacles and classes do not change. Cells behind a nearby wall are marked as well.
-
-    Args:
-      indoor_map: the map so far.
-      position: x and y of the robot, meters.
-      radius: radius around the robot, meters.
-      settings: the settings with which the map was made.
     """
     rings = math.ceil(radius / settings.cell_size)
     offsets = jnp.stack(jnp.meshgrid(*2 * (jnp.arange(-rings, rings + 1),), indexing="ij"), axis=-1)
@@ -260,14 +225,7 @@ def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[
 
 
 def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond: float) -> Shaped[Array, "side side"]:
-    """A square of a grid, which may extend beyond it.
-
-    Args:
-      grid: the grid.
-      first: row and column of the square's first cell, on the grid or off it.
-      side: side of the square, cells.
-      beyond: value of cells off the grid.
-    """
+    """The square of a grid from row and column `first` on; cells off the grid have the value `beyond`."""
     height, width = grid.shape
     rows, columns = first[:, None] + jnp.arange(side)
     inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
@@ -292,11 +250,3 @@ def network_maps(cells: UInt32[Array, "n n"], local: int) -> Float[Array, "36 lo
     bits = (squares >> channels[:, None, None, None, None]) & 1
     pooled = jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
     return jnp.concatenate([((near >> channels[:, None, None]) & 1).astype(jnp.float32), pooled])
-
-
-def network_input(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
-) -> Float[Array, "36 local local"]:
-    """The network's input for a robot at a position (x and y, meters), see `network_maps`."""
-    middle = grid_cell(position, settings.cell_size)
-    return network_maps(window(indoor_map, middle, settings.cells), settings.local)

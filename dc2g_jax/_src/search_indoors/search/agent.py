@@ -4,13 +4,14 @@ The controller plans ten times a second, and the vehicle executes the first comm
 control periods the robot adds a camera frame to its map and asks its guide (`search.guides`) for new costs
 (`look`). The search ends when the guide leads to an object and at most `STOP` meters of the path are left (`arrives`).
 
-Nothing here knows the true house. `search.simulation` simulates a robot in a house, and
+Nothing here knows the true house. `search.searches` simulates a robot in a house, and
 `search.online` runs on a real one. All functions take one robot.
 """
 
 import dataclasses
 import math
-from typing import Protocol, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax._src.mapping.camera import Frame, Intrinsics
 from dc2g_jax._src.mapping.noise import NoiseLevels
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator
 from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, STOP, cost_lookup, dense_costs
 from dc2g_jax._src.search_indoors.maps.mapping import (
     IndoorMap,
@@ -55,26 +56,6 @@ DECLARED = 1
 
 
 @struct.dataclass
-class Observation:
-    """What a robot knows when it asks its guide: nothing of it comes from the true house.
-
-    Attributes:
-      target: the wanted class, an index into `maps.classes.GOALS`.
-      vehicle: pose and velocities of the robot.
-      map: map of the house so far.
-      middle: row and column in the world's grid of the robot's cell. The local map is centered on it: it is at half the
-        local map's side.
-      image: the camera's picture; `None` if the guide does not use it.
-    """
-
-    target: Int[Array, ""]
-    vehicle: VehicleState
-    map: IndoorMap
-    middle: Int[Array, "2"]
-    image: UInt8[Array, "48 64 3"] | None
-
-
-@struct.dataclass
 class Guidance:
     """Costs of the cells of the local map.
 
@@ -87,41 +68,12 @@ class Guidance:
     to_goal: Bool[Array, ""]
 
 
-class Guide(Protocol):
-    """Strategy that directs a robot. Implementations are pytrees."""
+#: Strategy that directs a robot: `(robot, picture of its camera or None, components) -> costs of its local map`.
+Guide = Callable[["Searcher", UInt8[Array, "48 64 3"] | None, "Agent"], Guidance]
 
-    @property
-    def uses_image(self) -> bool:
-        """Whether the guide uses the camera's picture. It does not unless a subclass says so."""
-        return False
-
-    def of_house(self, world: IndoorWorld, radius: float) -> "Guide | None":
-        """This guide with knowledge of a simulated house, if it is a privileged one; `None` for all others.
-
-        Args:
-          world: the true house.
-          radius: radius of the robot, meters.
-        """
-        del world, radius
-        return None
-
-    def guide(self, key: Key[Array, ""], seen: Observation, agent: "Agent") -> Guidance:
-        """Costs of the cells of the robot's local map.
-
-        Args:
-          key: random key.
-          seen: what the robot knows.
-          agent: components of the robot.
-        """
-        ...
-
-
-class Steering(Protocol):
-    """Strategy that makes commands from costs. Implementations are pytrees."""
-
-    def plan(self, key: Key[Array, ""], robot: "Searcher", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
-        """The robot's next plan. Its first command is executed."""
-        ...
+#: Strategy that makes commands from costs: `(key, robot, costs, components) -> the robot's next plan [h 2]`. Its first
+#: command is executed.
+Steering = Callable[[Key[Array, ""], "Searcher", CostOfPose, "Agent"], Array]
 
 
 @struct.dataclass
@@ -129,18 +81,23 @@ class Agent:
     """Components of a robot.
 
     Attributes:
-      guide: directs the robot.
-      steering: makes commands from the guide's costs.
+      guide: directs the robot; a function of a module, for which programs are compiled once.
+      steering: makes commands from the guide's costs; likewise.
       camera: intrinsics of the camera.
+      estimator: predicts costs, for guides that follow them; only these robots take pictures.
+      true_distance: distance that the robot's center has to drive until an object of each of `GOALS` is within reach,
+        meters; infinite where the robot does not fit or no path leads there. Only for the guide that knows the house.
       mapping: settings of the map.
       controller: settings of the controller, with the limits of the vehicle.
       noise: noise of a simulated camera and pose.
       renewal: control periods between two camera frames, and between two sets of costs.
     """
 
-    guide: Guide
-    steering: Steering
+    guide: Guide = struct.field(pytree_node=False)
+    steering: Steering = struct.field(pytree_node=False)
     camera: Intrinsics
+    estimator: CostMapEstimator | None = None
+    true_distance: Float[Array, "goal h w"] | None = None
     mapping: IndoorMapSettings = IndoorMapSettings()
     controller: MPPISettings = CONTROLLER
     noise: NoiseLevels = NoiseLevels()
@@ -171,25 +128,21 @@ class Searcher(SimulatedRobot):
 _Robot = TypeVar("_Robot", bound=Searcher)
 
 
-@struct.dataclass
-class MPC:
-    """Steering with IT-MPC. One of its sampled plans is not random but descends the costs.
+def with_mpc(key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    """Steering with IT-MPC, see `weighed`."""
+    return weighed(key, robot, costs, agent)[0]
 
-    Turning around takes a second or two. Random plans hardly ever stop for so long, and those that do not stop hit the
-    wall ahead.
+
+def weighed(
+    key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent
+) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
+    """The next plan of IT-MPC, and the sampled plans that it is the weighted mean of.
+
+    One of these is not random but descends the costs. Turning around takes a second or two. Random plans hardly ever
+    stop for so long, and those that do not stop hit the wall ahead.
     """
-
-    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
-        """See `Steering`."""
-        return self.weighed(key, robot, costs, agent)[0]
-
-    @staticmethod
-    def weighed(
-        key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent
-    ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
-        """The next plan, and the sampled plans that it is the weighted mean of."""
-        candidate = descent(robot.vehicle, costs, agent)
-        return mppi.plan(key, robot.controls, robot.vehicle, costs, agent.controller, candidate)
+    candidate = descent(robot.vehicle, costs, agent)
+    return mppi.plan(key, robot.controls, robot.vehicle, costs, agent.controller, candidate)
 
 
 def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
@@ -207,53 +160,33 @@ def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Arr
     return jax.lax.scan(follow, vehicle, length=settings.horizon)[1]
 
 
-@struct.dataclass
-class LookAround:
-    """Steering that turns the robot once in place at the start, or until it has seen an object.
+def look_around_first(key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    """Steering that turns the robot once in place at the start, or until it has seen an object; then `with_mpc`.
 
     This adds nothing to the length of the path.
-
-    Attributes:
-      steering: used afterwards.
     """
-
-    steering: Steering
-
-    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
-        """See `Steering`."""
-        limits = agent.controller.limits
-        looks = ~robot.guidance.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
-        turning = jnp.zeros_like(robot.controls).at[0, 1].set(limits.max_turn_rate)
-        return jax.lax.cond(looks, lambda: turning, lambda: self.steering.plan(key, robot, costs, agent))
+    limits = agent.controller.limits
+    looks = ~robot.guidance.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
+    turning = jnp.zeros_like(robot.controls).at[0, 1].set(limits.max_turn_rate)
+    return jax.lax.cond(looks, lambda: turning, lambda: with_mpc(key, robot, costs, agent))
 
 
-@struct.dataclass
-class RandomUntilSeen:
-    """Random commands until a path to an object is known, then IT-MPC: the paper's privileged random agent.
+def random_until_seen(key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    """Random commands until a path to an object is known, then `with_mpc`: the paper's privileged random agent.
 
     Speed and turn rate are drawn anew in each control period (section IV-A).
     """
+    limits = agent.controller.limits
 
-    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
-        """See `Steering`."""
-        limits = agent.controller.limits
+    def drawn() -> Float[Array, "h 2"]:
+        least, most = jnp.array([0, -limits.max_turn_rate]), jnp.array([limits.max_speed, limits.max_turn_rate])
+        return jax.random.uniform(key, robot.controls.shape, minval=least, maxval=most)
 
-        def drawn() -> Float[Array, "h 2"]:
-            least, most = jnp.array([0, -limits.max_turn_rate]), jnp.array([limits.max_speed, limits.max_turn_rate])
-            return jax.random.uniform(key, robot.controls.shape, minval=least, maxval=most)
-
-        return jax.lax.cond(robot.guidance.to_goal, lambda: MPC().plan(key, robot, costs, agent), drawn)
+    return jax.lax.cond(robot.guidance.to_goal, lambda: with_mpc(key, robot, costs, agent), drawn)
 
 
 def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], agent: Agent) -> Searcher:
-    """The robot at its start, with an empty map.
-
-    Args:
-      key: random key of the search.
-      vehicle: pose and velocities at the start.
-      target: the wanted class, an index into `maps.classes.GOALS`.
-      agent: components of the robot.
-    """
+    """The robot at its start, with an empty map."""
     side = agent.mapping.local
     return Searcher(
         key=key,
@@ -265,33 +198,22 @@ def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], ag
         local_middle=grid_cell(vehicle.position, agent.mapping.cell_size),
         guidance=Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False)),
         costs=jnp.zeros((side, side), jnp.float32),
-        controls=mppi.standing_still(agent.controller),
+        controls=jnp.zeros((agent.controller.horizon, 2), jnp.float32),
     )
-
-
-def observed(robot: Searcher, image: UInt8[Array, "48 64 3"] | None) -> Observation:
-    """What a robot knows after it has added a frame to its map. `image` is the camera's picture."""
-    return Observation(robot.target, robot.vehicle, robot.map, robot.local_middle, image)
 
 
 def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> _Robot:
-    """Add a camera frame to the map, and ask the guide for new costs.
-
-    Args:
-      robot: the robot.
-      frame: depth, classes and pose of its camera.
-      image: the camera's picture; `None` if the guide does not use it.
-      agent: components of the robot.
-    """
+    """Add a camera frame to the map, and ask the guide for new costs."""
     position, cell_size = robot.vehicle.position, agent.mapping.cell_size
-    key, own_key = jax.random.split(robot.key)
     robot = dataclasses.replace(
         robot,
-        key=key,
+        key=jax.random.split(robot.key)[0],
         map=with_frame(robot.map, frame, position, agent.camera, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
-    guidance = agent.guide.guide(own_key, observed(robot, image), agent)
+    # A simulated robot is more than it knows of itself.
+    known = Searcher(**{field.name: getattr(robot, field.name) for field in dataclasses.fields(Searcher)})
+    guidance = agent.guide(known, image, agent)
     return dataclasses.replace(robot, guidance=guidance, costs=_filled_costs(guidance.distance, cell_size))
 
 
@@ -302,7 +224,7 @@ def steer(robot: _Robot, agent: Agent) -> tuple[_Robot, Float[Array, "2"]]:
       The robot with its next plan, and the command to execute: speed, m/s, and turn rate, rad/s.
     """
     key, own_key = jax.random.split(robot.key)
-    plan = agent.steering.plan(own_key, robot, cost_of_pose(robot, agent), agent)
+    plan = agent.steering(own_key, robot, cost_of_pose(robot, agent), agent)
     return dataclasses.replace(robot, key=key, controls=mppi.shift(plan), periods=robot.periods + 1), plan[0]
 
 
@@ -322,10 +244,6 @@ def _filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Arra
 
     A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance
     on the other side of a wall has no effect.
-
-    Args:
-      distance: costs of the guide, meters; infinite where the robot must not be.
-      cell_size: edge of a cell, meters.
     """
     known = jnp.isfinite(distance)
     around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")

@@ -12,8 +12,8 @@ All metrics refer to the true house:
 """
 
 import functools
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -78,10 +78,6 @@ class SearchResult(NamedTuple):
 def success_region(house: IndoorHouse, target: str) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """The cells of a house where a search for a class succeeds.
 
-    Args:
-      house: the house.
-      target: name of the wanted class.
-
     Returns:
       Distance to drive from each cell to these cells, meters, infinite where no path leads there; and whether a cell is
       one of them.
@@ -104,14 +100,7 @@ def _success_region(goals: Array, walls: Array, free: Array, fits: Array, cell_s
 def results_of(
     agent: str, houses: Sequence[IndoorHouse], episodes: Sequence[Search], searches: Searches
 ) -> list[SearchResult]:
-    """Results of searches.
-
-    Args:
-      agent: name of the agent.
-      houses: houses of the episodes.
-      episodes: the searches.
-      searches: what the robots did.
-    """
+    """Results of the searches of an agent."""
     by_name = {house.name: house for house in houses}
     regions = {key: success_region(by_name[key[0]], key[1]) for key in {(one.house, one.target) for one in episodes}}
     results = []
@@ -180,12 +169,7 @@ class SearchSummary(NamedTuple):
 
 
 def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> SearchSummary:
-    """The means and intervals of some results.
-
-    Args:
-      results: at least one result.
-      resamples: number of bootstrap samples of houses.
-    """
+    """The means and intervals of some results, one at least."""
     columns = dict(zip(SearchResult._fields, zip(*results, strict=True), strict=True))
     mean = {name: float(np.mean(values)) for name, values in columns.items() if not isinstance(values[0], str)}
     success, spl = (
@@ -201,11 +185,6 @@ def difference(
     better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000
 ) -> dict[str, Mean]:
     """Differences of `success` and `spl` between two agents in the same searches, with intervals as in `SearchSummary`.
-
-    Args:
-      better: results of one agent.
-      worse: results of the other agent, in the same order.
-      resamples: number of bootstrap samples of houses.
 
     Raises:
       ValueError: the searches differ.
@@ -236,38 +215,24 @@ ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": 
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
 
 
-class _Table1Line(NamedTuple):
-    """A row of Table I of the paper; see `SearchSummary`."""
-
-    success: float
-    spl: float
-    distance: float
-    steps: float
-    acceleration: tuple[float, float]
-    jerk: tuple[float, float]
-
-
-class _Table2Line(NamedTuple):
-    """A row of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters."""
-
-    metrics: tuple[float, ...]
-    success: float
-    spl: float
-    distance: float
-
-
-#: Table I of the paper. `predicted` is its "Our Approach".
-PAPER_TABLE1 = {
-    "true_cost": _Table1Line(1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
-    "random": _Table1Line(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
-    "predicted": _Table1Line(0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
+#: Table I of the paper, by the names of `SearchSummary`. `predicted` is its "Our Approach".
+PAPER_TABLE1: dict[str, dict[str, Any]] = {
+    name: dict(zip(("success", "spl", "distance", "steps", "acceleration", "jerk"), line, strict=True))
+    for name, line in {
+        "true_cost": (1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
+        "random": (0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
+        "predicted": (0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
+    }.items()
 }
 
-#: Table II of the paper.
-PAPER_TABLE2 = {
-    "semantic": _Table2Line((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
-    "midlevel": _Table2Line((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
-    "both": _Table2Line((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
+#: Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters.
+PAPER_TABLE2: dict[str, dict[str, Any]] = {
+    name: dict(zip(("metrics", "success", "spl", "distance"), line, strict=True))
+    for name, line in {
+        "semantic": ((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
+        "midlevel": ((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
+        "both": ((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
+    }.items()
 }
 
 #: Of these, the paper gives F1 and IoU of each class for its own network alone, in percent (section IV-A).
@@ -280,24 +245,24 @@ def with_interval(value: Mean, sign: str = "") -> str:
     return f"{middle} ({low} to {high})"
 
 
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+def _lines(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> str:
+    return "\n".join("  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows)
 
 
 def table1(summaries: Mapping[str, SearchSummary]) -> str:
     """Table I: a row for each agent, given by name, followed by the paper's row if it has one."""
 
-    def figures(one: SearchSummary | _Table1Line) -> list[str]:
-        pairs = (f"{along:.2f}, {turning:.2f}" for along, turning in (one.acceleration, one.jerk))
-        return [f"{one.distance:.2f}", f"{one.steps:.1f}", *pairs]
+    def row(title: str, one: Mapping[str, Any], share: Callable[[Any], str]) -> list[str]:
+        pairs = ("{:.2f}, {:.2f}".format(*one[name]) for name in ("acceleration", "jerk"))
+        shares = (share(one[name]) for name in ("success", "spl"))
+        return [title, *shares, f"{one['distance']:.2f}", f"{one['steps']:.1f}", *pairs]
 
     rows = [["", "success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3"]]
     for name, one in summaries.items():
-        rows.append([AGENT_TITLES[name], with_interval(one.success), with_interval(one.spl), *figures(one)])
+        rows.append(row(AGENT_TITLES[name], one._asdict(), with_interval))
         if name in PAPER_TABLE1:
-            paper = PAPER_TABLE1[name]
-            rows.append(["the paper's", f"{paper.success:.3f}", f"{paper.spl:.3f}", *figures(paper)])
-    return "\n".join(_line(row, (25, 22, 22, 5, 5, 16, 17)) for row in rows)
+            rows.append(row("the paper's", PAPER_TABLE1[name], "{:.3f}".format))
+    return _lines(rows, (25, 22, 22, 5, 5, 16, 17))
 
 
 def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, SearchSummary]) -> str:
@@ -308,17 +273,12 @@ def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, S
       summaries: the searches that each network led.
     """
     rows = [["", *(f"{name} %" for name in METRICS), "success", "SPL", "DTS m"]]
-    for name, one in summaries.items():
-        paper = PAPER_TABLE2[name]
-        ours = _Table2Line(
-            tuple(metrics[name][metric] for metric in METRICS), one.success.mean, one.spl.mean, one.distance
-        )
-        for title, line in ((ABLATION_TITLES[name], ours), ("the paper's", paper)):
-            found = (f"{value:.2f}" for value in line.metrics)
-            rows.append([title, *found, f"{line.success:.3f}", f"{line.spl:.3f}", f"{line.distance:.2f}"])
-    values = {ABLATION_TITLES[name]: [found[score] for score in OF_CLASSES] for name, found in metrics.items()}
-    values["the paper's (both)"] = list(_PAPER_OF_CLASSES)
     of_classes = [["", *(f"{score} %" for score in OF_CLASSES)]]
-    of_classes += [[title, *(f"{value:.2f}" for value in own)] for title, own in values.items()]
-    lines = [_line(row, (18, *[7] * 8)) for row in rows]
-    return "\n".join([*lines, "", *(_line(row, (18, *[14] * len(OF_CLASSES))) for row in of_classes)])
+    for name, one in summaries.items():
+        ours = [metrics[name][metric] for metric in METRICS], one.success.mean, one.spl.mean, one.distance
+        for title, line in ((ABLATION_TITLES[name], ours), ("the paper's", PAPER_TABLE2[name].values())):
+            percent, success, spl, distance = line
+            rows.append([title, *map("{:.2f}".format, percent), f"{success:.3f}", f"{spl:.3f}", f"{distance:.2f}"])
+        of_classes.append([ABLATION_TITLES[name], *(f"{metrics[name][score]:.2f}" for score in OF_CLASSES)])
+    of_classes.append(["the paper's (both)", *map("{:.2f}".format, _PAPER_OF_CLASSES)])
+    return f"{_lines(rows, (18, *[7] * 8))}\n\n{_lines(of_classes, (18, *[14] * len(OF_CLASSES)))}"

@@ -17,20 +17,17 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.cache import keep_compiled_programs
-from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics
+from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, camera_pose
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.classes import TARGETS
 from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, cost_at, look, steer
-from dc2g_jax._src.search_indoors.search.named import agent_with, costs_for
+from dc2g_jax._src.search_indoors.search.guides import agent_with, estimator_for
 from dc2g_jax._src.vehicles.robot import DRIVING
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, reachable_command
 
-#: Agents that a robot can be. The others of `search.named.AgentName` know the house or drive at random.
+#: Agents that a robot can be. The others of `search.guides.AgentName` know the house or drive at random.
 ONLINE_AGENTS = ("promising", "predicted", "frontier")
-
-#: Names of the targets.
-TARGETS = tuple(OBJECT_CLASSES[goal] for goal in GOALS)
 
 
 class SearchDecision(NamedTuple):
@@ -51,6 +48,9 @@ class SearchDecision(NamedTuple):
     why: str
 
 
+_look = jit(look)
+
+
 @jit
 def _begin(seed: Int[Array, ""], vehicle: VehicleState, agent: Agent) -> Searcher:
     return begin(jax.random.key(seed), vehicle, jnp.int32(-1), agent)
@@ -62,11 +62,6 @@ def _move(robot: Searcher, vehicle: VehicleState, target: Int[Array, ""], agent:
     arrived = (robot.target == target) & arrives(robot, vehicle.position, agent)
     status = jnp.where(arrived, DECLARED, DRIVING).astype(jnp.int32)
     return dataclasses.replace(robot, vehicle=vehicle, target=target, status=status)
-
-
-@jit
-def _look(robot: Searcher, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> Searcher:
-    return look(robot, frame, image, agent)
 
 
 @jit
@@ -119,12 +114,12 @@ class OnlineSearcher:
         if isinstance(agent, str):
             if agent not in ONLINE_AGENTS:
                 raise InputError(f"agent {agent!r}: use one of {', '.join(ONLINE_AGENTS)}, or give one of your own")
-            agent = agent_with(agent, costs_for([agent], network))
+            agent = agent_with(agent, estimator_for([agent], network))
         self.agent = agent if camera is None else dataclasses.replace(agent, camera=camera)
         image, still = (self.agent.camera.height, self.agent.camera.width), (0.0, 0.0, 0.0)
         frame = Frame(jnp.zeros(image), jnp.zeros(image, jnp.uint8), camera_pose(0.0, 0.0, 0.0))
         picture = np.zeros((*VIEW_SIZE, 3), np.uint8)
-        self.decide(self.init(still), TARGETS[0], still, still[:2], frame, picture)
+        self.decide(self.init(still), "bed", still, still[:2], frame, picture)
 
     def init(self, pose: npt.ArrayLike, *, seed: int = 0) -> Searcher:
         """What a robot keeps from call to call: at first, an empty map centered on its start.
@@ -154,7 +149,7 @@ class OnlineSearcher:
 
         Args:
           memory: result of `init` for the first call, then of the call before.
-          target: one of `TARGETS`.
+          target: one of `maps.classes.TARGETS`.
           pose: x and y of the robot, meters, and yaw, radians.
           speeds: its forward speed, meters per second, and its turn rate, radians per second.
           frame: depth image (meters, 0 without return), class image (see `maps.classes`) and pose of the
@@ -176,7 +171,7 @@ class OnlineSearcher:
             raise InputError(f"target {target!r} is new to the robot, but there is no frame; give one with it")
         memory = _move(memory, _vehicle(pose, speeds), goal, agent)
         if frame is not None:
-            picture = _checked_picture(image) if agent.guide.uses_image else None
+            picture = _checked_picture(image) if agent.estimator is not None else None
             memory = _look(memory, _checked_frame(frame, agent.camera), picture, agent)
         memory, found = _steer(memory, agent)
         (speed, turn_rate), arrived, to_goal, cost = (value.tolist() for value in jax.device_get(found))
@@ -217,14 +212,12 @@ def _vehicle(pose: npt.ArrayLike, speeds: npt.ArrayLike) -> VehicleState:
 
 def _checked_frame(frame: Frame, camera: Intrinsics) -> Frame:
     """The frame, if it is valid."""
-    image = camera.height, camera.width
+    check_shapes(frame, camera)
     depth, classes = np.asarray(frame.depth), np.asarray(frame.classes)
-    for name, values, kind in (("depth", depth, np.floating), ("classes", classes, np.uint8)):
-        if values.shape != image or not np.issubdtype(values.dtype, kind):
-            asked = "meters as floats" if name == "depth" else "class indices as uint8"
-            raise InputError(
-                f"{name} of the frame has dtype {values.dtype} and shape {values.shape}; give {asked}, {list(image)}"
-            )
+    if not np.issubdtype(depth.dtype, np.floating) or classes.dtype != np.uint8:
+        raise InputError(
+            f"depth has dtype {depth.dtype} and classes {classes.dtype}; give meters as floats, and classes as uint8"
+        )
     position = _numbers("the camera's position", frame.pose.position, (3,))
     rotation = _numbers("the camera's rotation", frame.pose.rotation, (3, 3))
     pose = CameraPose(jnp.asarray(position), jnp.asarray(rotation))

@@ -16,17 +16,17 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.mapping.camera import CameraPose
-from dc2g_jax._src.mapping.noise import PoseDrift, drift_on, drifted, no_drift, noisy_frame
+from dc2g_jax._src.mapping.noise import PoseDrift, drift_on, drifted, noisy_frame
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.simulator import render
-from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Guide, Searcher, arrives, begin, look, steer
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, TARGETS
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
+from dc2g_jax._src.search_indoors.search.guides import true_costs, true_distance
 from dc2g_jax._src.vehicles.footprint import Ground
-from dc2g_jax._src.vehicles.robot import at_starts, is_driving, run_to_end, stopped_by_obstacles
+from dc2g_jax._src.vehicles.robot import is_driving, run_all, stopped_by_obstacles
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, at_rest, drive
 
 #: Control periods of an episode: 50 s (section III-C).
@@ -47,13 +47,13 @@ class IndoorSite:
       scene: scene for the simulated camera.
       paint: color of each cell, see `houses.worlds.painted`.
       free: free floor.
-      guide: the guide that knows this house, of privileged agents; `None` for all others.
+      true_distance: that of privileged agents, see `search.agent.Agent`; `None` for all others.
     """
 
     scene: Scene
     paint: UInt8[Array, "h w 3"]
     free: Bool[Array, "h w"]
-    guide: Guide | None
+    true_distance: Float[Array, "goal h w"] | None
 
 
 @struct.dataclass
@@ -76,39 +76,26 @@ class IndoorRobot(Searcher):
 
 
 def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
-    """The site of a house.
-
-    Args:
-      world: one house.
-      name: name of the house, which seeds its random colors.
-      agent: components of the robots.
-    """
+    """The site of a house, whose random colors depend on its name."""
     return IndoorSite(
         scene=scene(world),
         paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
         free=jnp.asarray(world.free),
-        guide=agent.guide.of_house(world, agent.controller.limits.radius),
+        true_distance=true_distance(world, agent) if agent.guide is true_costs else None,
     )
 
 
 def reset(
     key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
 ) -> IndoorRobot:
-    """The robot at its start, with an empty map.
-
-    Args:
-      key: random key of the episode.
-      search: x and y of the start, meters, and yaw, radians; and the wanted class, an index into `maps.classes.GOALS`.
-      agent: components of the robot.
-      limit: largest number of control periods.
-    """
+    """The robot at its start (x and y, meters, and yaw, radians), with an empty map, for `limit` control periods."""
     start, target = search
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
     return IndoorRobot(
         **vars(searcher),
         true=searcher.vehicle,
-        drift=no_drift(),
+        drift=jnp.zeros(3, jnp.float32),
         moved=jnp.float32(0),
         collisions=jnp.int32(0),
         track=track,
@@ -123,8 +110,7 @@ def _camera_of(robot: IndoorRobot) -> CameraPose:
 
 def _estimated(vehicle: VehicleState, drift: PoseDrift) -> VehicleState:
     """The vehicle at its estimated pose."""
-    position = vehicle.position + jnp.stack([drift.x, drift.y])
-    return dataclasses.replace(vehicle, position=position, yaw=vehicle.yaw + drift.yaw)
+    return dataclasses.replace(vehicle, position=vehicle.position + drift[:2], yaw=vehicle.yaw + drift[2])
 
 
 def picture(robot: IndoorRobot, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
@@ -134,7 +120,7 @@ def picture(robot: IndoorRobot, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
 
 def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
-    agent = agent if site.guide is None else dataclasses.replace(agent, guide=site.guide)
+    agent = dataclasses.replace(agent, true_distance=site.true_distance)
     drift_key, frame_key = jax.random.split(jax.random.fold_in(robot.key, _NOISE))
     drift, pose = drift_on(drift_key, robot.drift, agent.noise, robot.moved), _camera_of(robot)
     frame = noisy_frame(frame_key, render(site.scene, agent.camera, pose, agent.mapping.reach), agent.noise)
@@ -142,7 +128,7 @@ def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Indoo
     robot = dataclasses.replace(
         robot, vehicle=_estimated(robot.true, drift), drift=drift, moved=jnp.zeros_like(robot.moved)
     )
-    image = picture(robot, site) if agent.guide.uses_image else None
+    image = picture(robot, site) if agent.estimator is not None else None
     return look(robot, frame, image, agent)
 
 
@@ -212,7 +198,7 @@ class Searches:
     """What robots did, in the order of the episodes.
 
     Attributes:
-      track: see `search.simulation.IndoorRobot`.
+      track: see `IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
       collisions: of these, those in which it ran into something.
@@ -224,8 +210,10 @@ class Searches:
     collisions: Int[np.ndarray, "episodes"]
 
 
-def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Search]:
-    """Random starts with a random target each, of the classes that can be reached in the house (section III-C).
+def sample_episodes(
+    houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0, target: str | None = None
+) -> list[Search]:
+    """Random starts with a target each (section III-C).
 
     Houses in which no object of any class can be reached are passed over.
 
@@ -233,45 +221,32 @@ def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int 
       houses: where.
       per_house: episodes in each.
       seed: of starts and targets; what is drawn in a house does not depend on the others.
+      target: name of the wanted class; by default a random one each, of the classes that can be reached in the house.
 
     Raises:
-      InputError: there is no episode at all.
+      InputError: there is no episode at all, or the target is no goal class or cannot be reached in a house.
     """
+    if target is not None and target not in TARGETS:
+        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(TARGETS)}")
     episodes: list[Search] = []
     for house in houses:
         rng = np.random.default_rng([seed, *house.name.encode()])
-        drawn = {goal: sample_starts(house.world, goal, per_house, rng=rng) for goal in GOALS}
-        goals = [goal for goal in GOALS if len(drawn[goal])]
-        for number, goal in enumerate(rng.choice(goals, per_house).tolist() if goals else []):
-            x, y, yaw = drawn[goal][number].tolist()
-            episodes.append(Search(house.name, OBJECT_CLASSES[goal], x, y, yaw))
+        starts = {
+            name: sample_starts(house.world, goal, per_house, rng=rng)
+            for goal, name in zip(GOALS, TARGETS, strict=True)
+        }
+        there = [name for name, drawn in starts.items() if len(drawn)]
+        if target is not None and target not in there:
+            raise InputError(
+                f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or "
+                "another --house"
+            )
+        targets = [target] * per_house if target else rng.choice(there, per_house).tolist() if there else []
+        for number, name in enumerate(targets):
+            episodes.append(Search(house.name, name, *starts[name][number].tolist()))
     if not episodes:
         raise InputError(f"no object can be searched for in {len(houses)} houses; give others, or more of them")
     return episodes
-
-
-def search_for(house: IndoorHouse, target: str, *, seed: int = 0) -> Search:
-    """A search for an object of a class, from a random start.
-
-    Args:
-      house: the house.
-      target: name of the class.
-      seed: seed of the start.
-
-    Raises:
-      InputError: the target is not a goal class, or the house has no reachable object of this class.
-    """
-    rng = np.random.default_rng([seed, *house.name.encode()])
-    starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
-    there = [name for name, drawn in starts.items() if len(drawn)]
-    if target not in starts:
-        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(starts)}")
-    if target not in there:
-        raise InputError(
-            f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or another "
-            "--house"
-        )
-    return Search(house.name, target, *starts[target][0].tolist())
 
 
 def search_all(
@@ -292,33 +267,29 @@ def search_all(
       limit: control periods after which an episode ends.
       seed: of all random numbers of the robots.
       on_progress: called now and then with the number of episodes that have ended.
-
-    Raises:
-      InputError: the houses' cells are not those of the agent's map.
     """
     sites, site_numbers = _sites(agent, houses)
-    mesh, count = mesh_of(), len(episodes)
-    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
-    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
-    targets = np.array([GOALS.index(OBJECT_CLASSES.index(episode.target)) for episode in episodes], np.int32)
-    agent, sites = replicate((agent, sites), mesh)
-    keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
-    robots = at_starts(keys, (starts, targets), agent, mesh=mesh, reset=reset, number=limit)
-    robots = run_to_end(
-        robots, leg, where, sites, agent, limit=limit, count=count, first_steps=_FIRST_LEGS, on_progress=on_progress
-    )
-    track, status, steps, collisions = gather((robots.track, robots.status, robots.periods, robots.collisions), count)
+    own = starts, np.array([TARGETS.index(episode.target) for episode in episodes], np.int32)
+    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
+    track, status, steps, collisions = run_all(
+        at_start, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
+        own, where, sites, agent,
+        seed=seed, number=limit, limit=limit, first_steps=_FIRST_LEGS, on_progress=on_progress,
+    )  # fmt: skip
     return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
+
+
+def at_start(
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: IndoorSite, agent: Agent, limit: int
+) -> IndoorRobot:
+    """See `reset`, which does not need the site."""
+    del site
+    return reset(key, search, agent, limit)
 
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
     """Houses of one size as sites, stacked, and the number of each by its name."""
-    size = agent.mapping.cell_size
-    for house in houses:
-        if abs(float(house.world.cell_size) - size) > 1e-6:
-            own = float(house.world.cell_size)
-            raise InputError(f"{house.name} has cells of {own:g} m, the agent's map of {size:g} m; make them alike")
     worlds = [house.world for house in houses]
     rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
     padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
