@@ -34,7 +34,6 @@ from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
 from dc2g_jax._src.osm.extract import read_extract
 from dc2g_jax._src.osm.neighborhood import Neighborhood
-from dc2g_jax._src.readers._download import read_manifest
 from dc2g_jax._src.readers.houses import load_dataset, map_dataset
 from dc2g_jax._src.readers.maps import Goal, read_map
 from dc2g_jax._src.readers.starts import read_starts
@@ -50,7 +49,7 @@ from dc2g_jax._src.search_indoors.learning.networks import (
 )
 from dc2g_jax._src.training.cost_to_go_data import check_masks
 from dc2g_jax._src.training.loop import Log
-from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.tracking import Curve
 from dc2g_jax._src.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
@@ -210,10 +209,6 @@ def read_extracts(folder: Path) -> None:
             neighborhood.map_of(building)
 
 
-def write_manifest(folder: Path) -> None:
-    (folder / "files.sha256").write_text("".join(f"{number:064x}  maps/{number}.png\n" for number in range(3)))
-
-
 READERS = (
     Reader(
         ("labels_colors.csv", "training_houses.csv", "full_semantic/test/worldyard.png"),
@@ -241,7 +236,6 @@ READERS = (
     Reader(("masks.npz",), write_masks, read_masks),
     Reader(("train.jsonl", "train.jsonl.gz", "asset_boxes.json"), write_indoor_houses, read_indoor_houses),
     Reader(EXTRACTS, write_extracts, read_extracts, slow=True),
-    Reader(("files.sha256",), write_manifest, lambda folder: read_manifest(folder / "files.sha256")),
 )  # fmt: skip
 
 

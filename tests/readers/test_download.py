@@ -397,19 +397,3 @@ def test_a_cache_folder_that_may_not_be_created(fetch, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "mkdir", deny)
     refusal_of(InputError, fetch, tmp_path / "cache", "Permission denied", "DC2G_CACHE")
-
-
-@pytest.mark.parametrize(
-    ("text", "mentions"),
-    [
-        (None, ["no such file"]),
-        ("", ["empty"]),
-        ("0123  a.png\n", ["line 1", "'0123  a.png'", "SHA-256"]),
-        (f"{'a' * 64}  ../a.png\n", ["line 1", "relative path"]),
-    ],
-)
-def test_bad_manifests(tmp_path, text, mentions):
-    path = tmp_path / "m.sha256"
-    if text is not None:
-        path.write_text(text)
-    refusal_of(InputError, lambda: read_manifest(path), path, *mentions)

@@ -118,7 +118,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.search_indoors.search import guides, searches
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
-    from dc2g_jax._src.training.mask_collection import collect_masks
+    from dc2g_jax._src.training.masks import collect_masks
     from dc2g_jax._src.training.step import supervised_step
     from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
     from experiments.benchmarks import workload

@@ -47,7 +47,7 @@ from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
 from dc2g_jax._src.training import sweeps, train as training, training_sets
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
-from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import TrainingState
 from experiments import unknown_dimensions

@@ -15,7 +15,7 @@ from dc2g_jax._src.training.cost_to_go_data import (
     training_houses,
     training_set,
 )
-from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.masks import Masks
 from tests.support.refusals import refusal
 
 

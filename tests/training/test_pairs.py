@@ -17,10 +17,9 @@ from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rollouts.devices import mesh_of
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
-from dc2g_jax._src.training import mask_collection
+from dc2g_jax._src.training import masks
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
-from dc2g_jax._src.training.mask_collection import by_house, collect_masks
-from dc2g_jax._src.training.masks import moments_along
+from dc2g_jax._src.training.masks import by_house, collect_masks, moments_along
 from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
@@ -285,7 +284,7 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
     for board, world in zip(collected.boards, collected.world, strict=True):
         assert np.asarray(bitboard.unpack(jnp.asarray(board), 10)).tobytes() in walked[int(world)]
 
-    monkeypatch.setattr(mask_collection, "mesh_of", lambda: mesh_of(jax.devices()[:1]))
+    monkeypatch.setattr(masks, "mesh_of", lambda: mesh_of(jax.devices()[:1]))
     again = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
     jax.tree.map(np.testing.assert_array_equal, tuple(again), tuple(collected))
     both = by_house([collected, again])

@@ -71,21 +71,16 @@ def load_network(place: str | os.PathLike[str] | None = None) -> Estimator:
       InputError: there is no estimator of that name; see also `local_folder` and
         `estimation.checkpoints.network_in_folder`, which checks the SHA-256 of the weights.
     """
-    if isinstance(place, str) and is_own_part(place):
-        return _own_estimator(place)
-    return network_in_folder(None if place is None else local_folder(place))
-
-
-def _own_estimator(name: str) -> Estimator:
-    """Make the estimator `package.module:Name`."""
-    found = own_part("estimator", name, ())
+    if not is_own_part(place):
+        return network_in_folder(None if place is None else local_folder(place))
+    found = own_part("estimator", str(place), ())
     try:
-        estimator = found() if callable(found) else found
+        estimator: Estimator = found() if callable(found) else found
     except TypeError as error:
-        raise InputError(f"estimator {name!r}: {error}; give what is called without arguments") from error
+        raise InputError(f"estimator {place!r}: {error}; give what is called without arguments") from error
     if not hasattr(estimator, "estimate") or jax.tree_util.all_leaves([estimator]):
         raise InputError(
-            f"estimator {name!r}: is {short(estimator)}; give a class with init and estimate, decorated with "
+            f"estimator {place!r}: is {short(estimator)}; give a class with init and estimate, decorated with "
             "flax.struct.dataclass"
         )
     return estimator

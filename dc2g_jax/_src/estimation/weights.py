@@ -66,13 +66,9 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
     return nnx.merge(graph, state)
 
 
-def _name(path: tuple[str | int, ...]) -> str:
-    """The name of a weight in files: its keys, and its numbers in lists of layers, with dots between."""
-    return ".".join(map(str, path))
-
-
 def _by_name(tree: dict[str, Any]) -> dict[str, Any]:
-    return {_name(path): leaf for path, leaf in flatten_dict(tree).items()}
+    """Weights by their names in files: their keys, and their numbers in lists of layers, with dots between."""
+    return {".".join(map(str, path)): leaf for path, leaf in flatten_dict(tree).items()}
 
 
 def write_safetensors(path: str | Path, tensors: dict[str, Any], metadata: Mapping[str, str]) -> None:
@@ -130,8 +126,8 @@ def read_weights(path: str | Path, shapes: dict[str, Any], tensors: Mapping[str,
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
                 f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
             )
-    paths = flatten_dict(shapes)
-    return unflatten_dict({path: jnp.asarray(tensors[_name(path)], jnp.float32) for path in paths})
+    arrays = (jnp.asarray(tensors[name], jnp.float32) for name in wanted)
+    return unflatten_dict(dict(zip(flatten_dict(shapes), arrays, strict=True)))
 
 
 def write_network(path: str | Path, weights: dict[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:

@@ -163,7 +163,7 @@ class Guaranteed(AskingPlanner):
         """
         if asks(self.planner):
             assessment, planner_state = self.planner.conclude(
-                belief, state.planner, looked, lambda belief, _: ask(belief, state)
+                belief, state.planner, looked, lambda belief, own: ask(belief, state._replace(planner=own))
             )
         else:
             assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)

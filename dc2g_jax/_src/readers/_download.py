@@ -18,9 +18,8 @@ import pooch
 import requests
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.cache import cache_folder
-from dc2g_jax._src.files.reading import FACTS, read_text
 from dc2g_jax._src.files.resources import resource
 
 #: The authors' files at the pinned commit.
@@ -54,24 +53,9 @@ class NetworkUnavailable(Exception):
 
 
 def read_manifest(path: Path | None = None) -> dict[str, str]:
-    """Read a manifest in the format of sha256sum: relative path -> SHA-256, lowercase hex.
-
-    Args:
-        path: the manifest; None for the package's manifest of the published dataset.
-
-    Raises:
-        InputError: the file is missing or empty, or a line is malformed.
-    """
-    path = resource(_MANIFEST_NAME) if path is None else Path(path)
-    entries = {}
-    for number, line in enumerate(read_text(path, "install the package again", at_most=FACTS).splitlines(), start=1):
-        match = re.fullmatch(r"([0-9a-f]{64})  (\S.*)", line)
-        if match is None or ".." in match[2].split("/") or match[2].startswith("/"):
-            raise InputError(f"{path}: line {number} is {short(line)}; expected a SHA-256, two blanks, a relative path")
-        entries[match[2]] = match[1]
-    if not entries:
-        raise InputError(f"{path}: the manifest is empty; install the package again")
-    return entries
+    """A manifest in the format of sha256sum, by default the package's own: relative path -> SHA-256, lowercase hex."""
+    lines = (path or resource(_MANIFEST_NAME)).read_text().splitlines()
+    return {name: digest for digest, name in (line.split("  ", 1) for line in lines)}
 
 
 def matches_published(folder: Path) -> bool:

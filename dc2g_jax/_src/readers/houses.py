@@ -167,7 +167,7 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
         palette = read_palette(folder / PALETTE_FILE)
         houses = []
         for name, (split, listing) in listed.items():
-            path = _image_path(folder, split, name)
+            path = folder / _IMAGE_FOLDER / split / f"world{name}.png"
             if not path.exists():
                 raise InputError(
                     f"{path}: no such file, but {listing} lists house {name!r}; add the image or delete the line"
@@ -359,7 +359,3 @@ def _read_house_lists(folder: Path) -> dict[str, tuple[str, str]]:
 def _check_name(where: object, name: str) -> None:
     if not re.fullmatch(r"\w[\w.-]*", name):
         raise InputError(f"{where}: {name!r} cannot be a house name; use letters, digits, '_', '-' and '.'")
-
-
-def _image_path(folder: Path, split: str, name: str) -> Path:
-    return folder / _IMAGE_FOLDER / split / f"world{name}.png"

@@ -73,11 +73,6 @@ def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
     return jnp.where(poses.is_empty(preferred), revealing, preferred)
 
 
-def with_batch_axes(values: Any, batch: tuple[int, ...]) -> Array:
-    """An array `[h w]` as `[h w *batch]`, with batch axes of length 1."""
-    return jnp.reshape(values, (*jnp.shape(values), *(1 for _ in batch)))
-
-
 def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w *batch"]:
     """Number of cells of the set in the square of `2 radius + 1` cells around each cell."""
     counts = cells.astype(jnp.int32)
@@ -89,6 +84,12 @@ def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w 
         low, high = (jnp.take(sums, jnp.arange(size) + first, axis=axis) for first in (0, step))
         counts = high - low
     return counts
+
+
+def unknown_share(belief: Belief, radius: int) -> Float[Array, "h w *batch"]:
+    """Share of unobserved cells in the square of `2 radius + 1` cells around each cell; none lie off the map."""
+    unknown = bitboard.unpack(frontiers.unseen(belief), belief.width)
+    return in_square(unknown, radius).astype(jnp.float32) / (2 * radius + 1) ** 2
 
 
 def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, "outcomes h w *batch"]:

@@ -1,12 +1,9 @@
 """Cost and utility of frontiers: how much there may be to see, less a price for the way."""
 
-import jax.numpy as jnp
 from flax import struct
 
-from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.frontiers import unseen
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, in_square
+from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, unknown_share
 
 
 @struct.dataclass
@@ -27,6 +24,4 @@ class CostUtility(ChoosingPlanner):
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """Weighted cost less utility."""
         radius = self.rules.sensing.radius
-        unknown = in_square(bitboard.unpack(unseen(belief), belief.width), radius)
-        utility = unknown.astype(jnp.float32) / (2 * radius + 1) ** 2
-        return self.beta / radius * moment.distance - utility
+        return self.beta / radius * moment.distance - unknown_share(belief, radius)

@@ -4,10 +4,8 @@ import jax.numpy as jnp
 from flax import struct
 
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.frontiers import unseen
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, in_square, predicted
+from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted, unknown_share
 
 
 @struct.dataclass
@@ -34,8 +32,6 @@ class FrontierPotential(ChoosingPlanner):
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """Minus the potential of the cell; of its poses, the nearest wins."""
         cost = jnp.mean(predicted(self.estimator, belief, moment.estimator), axis=0)
-        reach = 2 * self.rules.sensing.radius
-        unknown = in_square(bitboard.unpack(unseen(belief), belief.width), reach)
-        area = unknown.astype(jnp.float32) / (2 * reach + 1) ** 2
+        area = unknown_share(belief, 2 * self.rules.sensing.radius)
         goal = jnp.maximum(0.0, 1 - cost / self.farthest)
         return jnp.broadcast_to(-(self.alpha * area + (1 - self.alpha) * goal), moment.distance.shape)

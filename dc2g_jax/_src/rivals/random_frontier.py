@@ -6,7 +6,7 @@ from jaxtyping import Array, UInt32
 
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, with_batch_axes
+from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues
 
 
 def _mixed(number: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
@@ -29,6 +29,7 @@ class RandomFrontier(ChoosingPlanner):
         salt = jnp.zeros_like(belief.pose.x).astype(jnp.uint32)
         for number in (belief.pose.x, belief.pose.y, belief.pose.heading, bitboard.count(belief.seen)):
             salt = _mixed(salt + number.astype(jnp.uint32) + jnp.uint32(1))
-        cell = jnp.arange(belief.height * belief.width, dtype=jnp.uint32).reshape(belief.height, belief.width)
-        numbers = _mixed(with_batch_axes(cell, salt.shape) ^ salt) >> 8  # a float holds 24 bits exactly
+        shape = (belief.height, belief.width, *(1 for _ in salt.shape))
+        cell = jnp.arange(belief.height * belief.width, dtype=jnp.uint32).reshape(shape)
+        numbers = _mixed(cell ^ salt) >> 8  # a float holds 24 bits exactly
         return jnp.broadcast_to(numbers.astype(jnp.float32), moment.distance.shape)

@@ -24,7 +24,7 @@ from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.training.cost_to_go import DrawBatch
-from dc2g_jax._src.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners
+from dc2g_jax._src.training.masks import LEADERS, Masks, by_house, collect_masks, leading_planners
 from dc2g_jax._src.training.pairs import Pair, TrainingSet, draw_pairs
 
 #: Seed of the procedural validation houses. Seeds of training must be below it.

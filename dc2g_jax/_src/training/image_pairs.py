@@ -21,7 +21,7 @@ from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.training.drawn_masks import drawn_masks
-from dc2g_jax._src.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners
+from dc2g_jax._src.training.masks import LEADERS, Masks, by_house, collect_masks, leading_planners
 
 #: Factor by which images are enlarged before a random crop, as in pix2pix.
 _ENLARGED = 286 / 256

@@ -32,29 +32,25 @@ def _quantile(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimat
     return 2 * jnp.maximum(levels * error, (levels - 1) * error)
 
 
-def _l1(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+def _l1(estimate: _Estimate, target: _Target, _: _Levels) -> _Estimate:
     """Absolute error: estimates converge to the median."""
-    del levels
     return jnp.abs(target - estimate)
 
 
-def _l2(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+def _l2(estimate: _Estimate, target: _Target, _: _Levels) -> _Estimate:
     """Squared error: estimates converge to the mean."""
-    del levels
     return jnp.square(target - estimate)
 
 
-def _huber(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+def _huber(estimate: _Estimate, target: _Target, _: _Levels) -> _Estimate:
     """Squared for small errors, absolute for large ones."""
-    del levels
     error = jnp.abs(target - estimate)
     small = jnp.minimum(error, _HUBER_BEND)
     return small * (error - 0.5 * small) / _HUBER_BEND
 
 
-def _log(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+def _log(estimate: _Estimate, target: _Target, _: _Levels) -> _Estimate:
     """Absolute error of the inverse hyperbolic sine: a relative error that is defined for all values."""
-    del levels
     return jnp.abs(jnp.arcsinh(target / _LOG_BEND) - jnp.arcsinh(estimate / _LOG_BEND)) * _LOG_BEND
 
 

@@ -74,32 +74,6 @@ def placed(state: TrainingState, mesh: Mesh) -> TrainingState:
     return jax.device_put(state, NamedSharding(mesh, PartitionSpec(RUNS) if state.step.ndim else PartitionSpec()))
 
 
-def _running_average(average: Any, weights: Any, step: Int[Array, ""], decay: float) -> Any:
-    """The running average of the weights after one more step. Early on, its decay is smaller."""
-    kept = jnp.minimum(decay, (1.0 + step) / (10.0 + step))
-    return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
-
-
-def _updated(
-    state: TrainingState,
-    loss: Float[Array, ""],
-    gradient: Any,
-    optimizer: optax.GradientTransformation,
-    average_decay: float,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """The state after one step, and its loss, see `supervised_step`."""
-    updates, optimizer_state = optimizer.update(gradient, state.optimizer, state.weights)
-    weights = optax.apply_updates(state.weights, updates)
-    average = None
-    if state.average is not None:
-        average = _running_average(state.average, weights, state.step, average_decay)
-    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
-    loss = jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
-    kept = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
-    return kept.replace(step=new.step), loss
-
-
 def _each_run(function: Callable[..., Any], state: TrainingState) -> Callable[..., Any]:
     """The function of one run, or of each of several runs, which are divided among the devices."""
     return function if state.step.ndim == 0 else jax.vmap(function, spmd_axis_name=RUNS)
@@ -124,7 +98,17 @@ def learn(
 
     def of_run(state: TrainingState, batch: Any, hyperparameters: Any) -> tuple[TrainingState, Float[Array, ""]]:
         loss, gradient = training.gradient(state, batch, hyperparameters)
-        return _updated(state, loss, gradient, training.optimizer(hyperparameters), training.average_decay)
+        updates, optimizer = training.optimizer(hyperparameters).update(gradient, state.optimizer, state.weights)
+        weights = optax.apply_updates(state.weights, updates)
+        average = state.average
+        if average is not None:
+            kept = jnp.minimum(training.average_decay, (1.0 + state.step) / (10.0 + state.step))  # smaller early on
+            average = jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
+        new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer)
+        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
+        loss = jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
+        after = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
+        return after.replace(step=new.step), loss
 
     return _each_run(of_run, state)(state, batch, hyperparameters)
 

@@ -19,7 +19,7 @@ from dc2g_jax._src.training.cost_to_go_data import (
     training_houses,
     training_set,
 )
-from dc2g_jax._src.training.mask_collection import Masks, by_house
+from dc2g_jax._src.training.masks import Masks, by_house
 from dc2g_jax._src.training.pairs import TrainingSet
 
 #: Collects an object with arrays as attributes. Takes a function to report the finished and the total number of parts.

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,28 +17,11 @@ from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.image_pairs import ImagePair
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 
-
-class _GeneratorLoss(NamedTuple):
-    """Weights of the generator's loss.
-
-    Attributes:
-      l1: weight of the mean absolute error.
-      gan: weight of the adversarial loss.
-    """
-
-    l1: float
-    gan: float
-
-
 #: pix2pix computes the absolute error of images from -1 to 1; here they are from 0 to 1.
 _L1_SCALE = 2.0
 
-#: The paper's three losses, by name; weights as in pix2pix.
-TRANSLATOR_LOSSES = {
-    "l1": _GeneratorLoss(100.0, 0.0),
-    "gan": _GeneratorLoss(0.0, 1.0),
-    "l1+gan": _GeneratorLoss(100.0, 1.0),
-}
+#: The paper's three losses, by name: weights of the mean absolute error and of the adversarial loss, as in pix2pix.
+TRANSLATOR_LOSSES = {"l1": (100.0, 0.0), "gan": (0.0, 1.0), "l1+gan": (100.0, 1.0)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,12 +96,12 @@ def generator_loss(
     The loss is the sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute error of images from -1 to 1 and the
     cross-entropy of patches being classified as true.
     """
-    loss = TRANSLATOR_LOSSES[config.loss]
+    l1, gan = TRANSLATOR_LOSSES[config.loss]
     difference = jnp.mean(jnp.abs(generated - batch.target))
-    total = loss.l1 * _L1_SCALE * difference
-    if loss.gan:
+    total = l1 * _L1_SCALE * difference
+    if gan:
         odds = with_weights(Discriminator, config.architecture, discriminator)(batch.image, generated)
-        total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
+        total += gan * jnp.mean(jax.nn.softplus(-odds))
     return total, difference
 
 
@@ -155,7 +138,7 @@ class TranslatorTraining(Supervised):
             lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), generator
         )
         of_discriminator = jax.tree.map(jnp.zeros_like, discriminator)
-        if TRANSLATOR_LOSSES[config.loss].gan:
+        if TRANSLATOR_LOSSES[config.loss][1]:
             of_discriminator = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(
                 discriminator
             )

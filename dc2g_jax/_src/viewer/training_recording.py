@@ -26,7 +26,7 @@ from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.training.cost_to_go import TrainingConfig, learning_rates
 from dc2g_jax._src.training.cost_to_go_data import training_set
-from dc2g_jax._src.training.mask_collection import Masks, collect_masks
+from dc2g_jax._src.training.masks import Masks, collect_masks
 from dc2g_jax._src.training.pairs import Pair, make_pair
 from dc2g_jax._src.viewer import _legend as legend
 from dc2g_jax._src.viewer._legend import CostScale
