@@ -373,7 +373,7 @@ class DC2G(AskingPlanner):
     replan_fraction: float = struct.field(pytree_node=False, default=0.0)
     magnifies: bool = struct.field(pytree_node=False, default=False)
     memory: bool = struct.field(pytree_node=False, default=True)
-    batch_per_core: ClassVar[int] = 64
+    batch_per_core: ClassVar[int] = 16
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
