@@ -28,7 +28,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     root = Path(config.config_file_path).parent
     for name, page in _PAGES.items():
         text = (root / f"{name}.md").read_text(encoding="utf-8").replace("](docs/", "](")
-        for other, its_page in _PAGES.items():
-            text = text.replace(f"]({other}.md", f"]({its_page}.md")
         files.append(File.generated(config, f"{page}.md", content=_HEAD + text))
     return files
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Turn links to these pages, from beside them or from below docs/, into those of the site."""
+    for name, page in _PAGES.items():
+        markdown = markdown.replace(f"]({name}.md", f"]({page}.md").replace(f"../{name}.md", f"{page}.md")
+    return markdown

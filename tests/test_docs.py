@@ -95,6 +95,12 @@ def test_names_exist(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_linked_files_exist(page):
+    links = re.findall(r"\]\((?!\w+:)([^)#\s]+)", page.read_text())
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_tests_exist(page):
     named = set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text()))
     missing = [f"{file}::{name}" for file, name in sorted(named) if f"\ndef {name}(" not in (ROOT / file).read_text()]

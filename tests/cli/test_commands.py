@@ -49,6 +49,7 @@ def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypat
     assert ended(monkeypatch, *name.split(), "--help") == 0
     shown = capsys.readouterr().out
     assert f"usage: dc2g {name} " in shown
+    assert not re.search(r"\{None\}\||experiments\.", shown)
     assert "machine" not in re.findall(r"(\w+) options \W", shown)[:-1]
 
 
@@ -56,6 +57,7 @@ def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypat
     ("words", "meant"),
     [
         (["fig77"], "dc2g fig7?"),
+        (["mapp"], "did you mean dc2g map?"),
         (["map", "exploer"], "did you mean dc2g map explore?"),
         (["map", "--dataset"], "dc2g map check or dc2g map explore"),
         (["xyzzy"], "dc2g --help lists all"),

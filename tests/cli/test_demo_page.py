@@ -1,7 +1,6 @@
 """The page of `dc2g demo`, with a simulated visitor and with a browser."""
 
 import asyncio
-import contextlib
 import importlib.util
 import json
 import os
@@ -9,7 +8,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -212,11 +210,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with subprocess.Popen(command_line, cwd=ROOT, env=outside, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert port in process.stdout.readline()
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", int(port))):
-                break
-            time.sleep(0.1)
+        socket.create_connection(("127.0.0.1", int(port))).close()  # the port is open when the line is printed
         yield f"127.0.0.1:{port}"
         process.terminate()
 

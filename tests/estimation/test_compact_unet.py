@@ -1,6 +1,7 @@
 """The network: any map size, plain weights, and a loss that ignores what does not count."""
 
 import functools
+import json
 
 import jax
 import jax.numpy as jnp
@@ -249,6 +250,7 @@ def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
     network = NetworkCostToGo(init_weights(OWN, jax.random.key(1)), OWN)
     loaded = dc2g.load_network(save_network(tmp_path / "network", network))
     assert loaded.architecture == OWN
+    assert json.loads((tmp_path / "network" / "network.json").read_text())["network"] == OWN.network
     terrain = jnp.asarray(maps.random_terrain(3, (14, 12), 0.7)[..., None])
     jax.tree.map(np.testing.assert_array_equal, loaded.weights, network.weights)
     outcomes = loaded.estimate(terrain, ())

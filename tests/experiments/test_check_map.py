@@ -79,6 +79,7 @@ def test_unknown_ground_that_counts_as_free_is_warned_of(tmp_path, capsys):
     path = save(tmp_path, grays, free_thresh=0.25)
     main(Options(path, goals=((0.21, 0.74),), goal_unit="meters", out=tmp_path / "out"))
     printed = capsys.readouterr().out
+    assert "traversable (" not in printed
     assert "goal cells: 1 at (4, 15)" in printed
     assert "warning: 400 pixels are gray 205" in printed
 

@@ -27,6 +27,7 @@ def test_a_folder_of_maps_is_a_dataset(tmp_path, extract, capsys):
     out = tmp_path / "maps"
     main(Options(extract, out))
     printed = capsys.readouterr().out
+    assert "Not mapped, but added: front_door to 1, driveway to" in printed
     assert "2 maps of 60 m a side on 50 x 50 cells" in printed
     assert "(c) OpenStreetMap contributors" in printed
     assert "(c) OpenStreetMap contributors" in (out / "ATTRIBUTION.txt").read_text()
@@ -49,6 +50,8 @@ def test_only_what_is_mapped(tmp_path, extract, capsys):
     main(Options(extract, out, only_mapped=True, cells=40, meters=50.0))
     printed = capsys.readouterr().out
     assert "left out, no front door is mapped: way4" in printed
+    assert ": 1 map of 50 m" in printed
+    assert "but added" not in printed
     assert rows(out / "left_out.csv") == [{"building": "way4", "reason": "no front door is mapped"}]
     assert [house.terrain.shape for house in open_dataset(str(out)).houses] == [(40, 40)]
     assert not cv2.imread(str(out / "added" / "way2.png")).any()

@@ -155,7 +155,7 @@ def test_ranges_are_optional(tmp_path, dataset):
         ("street,3,4,0,65,", ["range", "'65'"]),
         ("street,3,4,0,wide,", ["range", "'wide'"]),
         ("street,3,4,0,5,1", ["expanding_range", "'1'", "2 to 64"]),
-        ("street,9,0,0", ["street", "(9, 0)", "reached"]),
+        ("street,9,0,0", ["street", "(9, 0)", "reached", "nearest cell to start from lies at column 7, row 2"]),
         ("street,0,0,0", ["street", "(0, 0)"]),
         ("street,2,0,0", ["street", "(2, 0)", "front door"]),
         ("strete,3,4,0", ["strete", "street"]),

@@ -71,6 +71,10 @@ def squares(estimate, target, levels):
     return jnp.square(target - estimate)
 
 
+def of_two(estimate, target):
+    return estimate - target
+
+
 def mean_of_squares(estimate, target, levels):
     return jnp.mean(squares(estimate, target, levels))
 
@@ -82,8 +86,12 @@ def test_a_loss_of_the_users_own_goes_by_its_name():
     values = [map_loss(named_loss(name), estimate, target, weight, jnp.array([0.5])) for name in (own, "l2")]
     assert [float(value) for value in values] == [7.0, 7.0]
     refusal(lambda: parse_losses(f"{__name__}:cubes"), "test_losses:cubes", "cannot be imported", "package.module:Name")
-    for name in ("mean_of_squares", "LEVELS"):
-        refusal(lambda name=name: parse_losses(f"{__name__}:{name}"), f":{name}'", "one number for each estimate")
+    for name, what in (
+        ("mean_of_squares", "answers with shape () for arrays of shapes ((2, 3, 5), (2, 3, 1), (5,))"),
+        ("of_two", "cannot be called with arrays of shapes ((2, 3, 5), (2, 3, 1), (5,)) (TypeError: of_two() takes 2"),
+        ("LEVELS", "cannot be called"),
+    ):
+        refusal(lambda name=name: parse_losses(f"{__name__}:{name}"), f":{name}'", what, "one number for each estimate")
 
 
 def test_an_unknown_loss_lists_the_known_ones():

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from nicegui import app, events, run, ui
+from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from dc2g_jax._src.cli.local_server import OwnOriginOnly
@@ -83,7 +84,13 @@ def serve(
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
     app.add_middleware(OwnOriginOnly, token=token, port=port)
     path = f"/?token={token}" if token else "/"
-    print(f"Serving the page at http://127.0.0.1:{port}{path} (Ctrl-C stops it)", flush=True)
+
+    async def announce() -> None:
+        while not Server.instance.started:  # the port opens after the startup
+            await asyncio.sleep(0.01)
+        print(f"Serving the page at http://127.0.0.1:{port}{path} (Ctrl-C stops it)", flush=True)
+
+    app.on_startup(announce)
     ui.run(
         lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port,
         show=path if open_browser else False, reload=False,

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.errors import InputError
@@ -17,7 +17,7 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.maps import Goal, draw_map
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
-from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
+from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, start_ground, why_no_episode
 
 #: Start of an episode: column, row and heading.
 StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]
@@ -91,7 +91,7 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
     """
     if pose is None:
         if reason := why_no_episode(house):
-            elsewhere = np.any(_start_ground(house.terrain))
+            elsewhere = np.any(start_ground(house.terrain))
             remedy = "give a --start on other ground, from which one can" if elsewhere else "choose another one"
             raise InputError(f"{where}: {reason}; {remedy}")
         return sample_starts([house], 1, seed=seed)[0]
@@ -102,7 +102,7 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
             "3 (up)"
         )
     if problem := _why_no_start(house.terrain, x, y):
-        raise InputError(f"{where}: --start {x} {y} {heading}: {problem}; {_nearest_start(house.terrain, x, y)}")
+        raise InputError(f"{where}: --start {x} {y} {heading}: {problem}; {nearest_start(house.terrain, x, y)}")
     return Start(house.name, x, y, heading)
 
 
@@ -119,17 +119,3 @@ def _why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | No
     if not connected_to_goal(terrain)[y, x]:
         return f"no goal can be reached from column {x}, row {y}"
     return None
-
-
-def _start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Cells from which an episode can start."""
-    return connected_to_goal(terrain) & (terrain != FRONT_DOOR)
-
-
-def _nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
-    """Describe the nearest cell in which an episode can start."""
-    rows, columns = np.nonzero(_start_ground(terrain))
-    if not len(rows):
-        return "the map has no ground that leads to a goal"
-    nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
-    return f"the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"

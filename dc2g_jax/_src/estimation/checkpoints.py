@@ -25,6 +25,7 @@ from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.files.reading import number, read_object, whole_number
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.own_parts import is_own_part
 
 #: The shipped networks: for maps without errors, and for maps from a camera.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
@@ -111,7 +112,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
     folder.mkdir(parents=True, exist_ok=True)
     write_safetensors(folder / _WEIGHTS, network.weights, {})
     facts = {
-        "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
+        "network": getattr(network.architecture, "network", "pix2pix"),
         "architecture": dataclasses.asdict(network.architecture),
         "classes": list(CLASS_NAMES),
         "sha256": arrays_sha256(network.weights),
@@ -128,7 +129,7 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
         remedy = f"give {folder / 'network'}"
     facts = read_object(folder / CARD, remedy)
     named = facts.get("network")
-    kind = _KINDS.get(named) if isinstance(named, str) else None
+    kind = _KINDS.get(COMPACT_UNET if is_own_part(named) else named) if isinstance(named, str) else None
     if kind is None:
         raise InputError(
             f"{folder / CARD}: {f'its network is {short(named)}' if named else 'names no kind of network'}, but "

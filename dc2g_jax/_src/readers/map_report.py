@@ -5,7 +5,7 @@ from jaxtyping import Float, UInt8
 
 from dc2g_jax._src.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces
 from dc2g_jax._src.grid.streets import is_town, street_width
-from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN
 
 #: Number of pieces of ground that a line names.
 _NAMED_PIECES = 5
@@ -35,7 +35,7 @@ def map_report(terrain: UInt8[np.ndarray, "h w"], cost_to_go: Float[np.ndarray, 
     cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
     for index in np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]:
         name = "unknown" if index == UNKNOWN else CLASS_NAMES[index]
-        lines.append(f"{cells[index]:>10,} {name}{' (traversable)' if TRAVERSABLE[index] else ''}")
+        lines.append(f"{cells[index]:>10,} {name}{' (traversable)' if TRAVERSABLE[index] and index != FREE else ''}")
     lines.append(f"goal cells: {_places(pieces(terrain == FRONT_DOOR)) or 'none'}")
     leading = connected_to_goal(terrain)
     ground = int(np.sum(TRAVERSABLE[terrain]))

@@ -81,6 +81,20 @@ def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return np.asarray(connected_to_goal(terrain) & ground)
 
 
+def start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Cells from which an episode can start, of any ground."""
+    return connected_to_goal(terrain) & (terrain != FRONT_DOOR)
+
+
+def nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
+    """Describe the nearest cell in which an episode can start."""
+    rows, columns = np.nonzero(start_ground(terrain))
+    if not len(rows):
+        return "the map has no ground that leads to a goal"
+    nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
+    return f"the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"
+
+
 def why_no_episode(house: House) -> str | None:
     """The reason why no episode can be run in a house; `None` if one can."""
     if reason := why_no_path(house.terrain):
@@ -155,12 +169,11 @@ def _read_start(where: str, row: dict[str, str], house: House, connected: Bool[n
     height, width = house.terrain.shape
     x, y = number("x", 0, width - 1), number("y", 0, height - 1)
     if house.terrain[y, x] == FRONT_DOOR:
-        raise InputError(f"{where}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
+        nearest = nearest_start(house.terrain, x, y)
+        raise InputError(f"{where}: ({x}, {y}) in {house.name} is a front door already; {nearest}")
     if not connected[y, x]:
-        raise InputError(
-            f"{where}: no front door of {house.name} can be reached from ({x}, {y}); "
-            "start on a traversable cell that is connected to one"
-        )
+        nearest = nearest_start(house.terrain, x, y)
+        raise InputError(f"{where}: no front door of {house.name} can be reached from ({x}, {y}); {nearest}")
     ranges = [number(column, _MIN_RANGE, MAX_SENSING_RANGE) if row[column] else None for column in _OPTIONAL]
     return Start(house.name, x, y, number("heading", 0, HEADINGS - 1), *ranges)
 

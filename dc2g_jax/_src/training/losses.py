@@ -64,18 +64,23 @@ def named_loss(name: str) -> Loss:
     """A loss by name, one of `LOSSES` or `package.module:Name`.
 
     Raises:
-      InputError: the name is unknown, or the loss is not one number for each estimate.
+      InputError: the name is unknown, or the loss cannot be called or is not one number for each estimate.
     """
     if name in LOSSES:
         return LOSSES[name]
     loss = own_part("loss", name, LOSSES)
-    shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((2, 3, 5), (2, 3, 1), (5,))]
-    found = jax.eval_shape(loss, *shapes) if callable(loss) else loss
-    if getattr(found, "shape", None) != shapes[0].shape:
+    shapes = (2, 3, 5), (2, 3, 1), (5,)
+    given = f"arrays of shapes {short(shapes)}"
+    remedy = "give a function of estimate, target and levels that returns one number for each estimate"
+    try:
+        answer = jax.eval_shape(loss, *(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes))
+    except Exception as error:  # whatever the user's function raises
         raise InputError(
-            f"loss {name!r}: gives {short(found)} for 2 x 3 cells and 5 quantiles; give a function of estimate, target "
-            "and levels that returns one number for each estimate"
-        )
+            f"loss {name!r}: cannot be called with {given} ({type(error).__name__}: {error}); {remedy}"
+        ) from error
+    found = jax.tree.map(lambda leaf: leaf.shape, answer)
+    if found != shapes[0]:
+        raise InputError(f"loss {name!r}: answers with shape {short(found)} for {given}; {remedy}")
     return loss
 
 

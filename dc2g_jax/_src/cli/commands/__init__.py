@@ -85,7 +85,7 @@ def _run(words: list[str]) -> None:
             command_line(command.Options, command.main)
             return
     asked = " ".join(words[:2]) if words[0] in _GROUPS else words[0]
-    close = difflib.get_close_matches(asked, COMMANDS, n=1, cutoff=0.75)
+    close = difflib.get_close_matches(asked, [*COMMANDS, *_GROUPS], n=1, cutoff=0.75)
     close = close or [name for name in COMMANDS if words[0] in name.split()]
     remedy = f"did you mean {' or '.join(f'dc2g {name}' for name in close)}?" if close else "dc2g --help lists all"
     _refuse(f"no command is called {asked!r}; {remedy}")

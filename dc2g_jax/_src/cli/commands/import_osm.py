@@ -108,9 +108,11 @@ def _report(options: Options, out: Path, rows: list[list[object]], left_out: lis
     if not rows:
         raise InputError(f"{options.extract}: all {len(left_out)} buildings were left out, see above")
     added = np.array([row[-len(_ADDED) :] for row in rows])
-    counts = ", ".join(f"{name} to {count}" for name, count in zip(_ADDED, np.sum(added > 0, axis=0), strict=True))
-    print(f"{out}: {len(rows)} maps of {options.meters:g} m a side on {options.cells} x {options.cells} cells")
-    print(f"Not mapped, but added: {counts}; see {_MAPS_FILE} and {_ADDED_FOLDER}/")
+    counts = zip(_ADDED, np.sum(added > 0, axis=0), strict=True)
+    maps = "1 map" if len(rows) == 1 else f"{len(rows)} maps"
+    print(f"{out}: {maps} of {options.meters:g} m a side on {options.cells} x {options.cells} cells")
+    if shown := ", ".join(f"{name} to {count}" for name, count in counts if count):
+        print(f"Not mapped, but added: {shown}; see {_MAPS_FILE} and {_ADDED_FOLDER}/")
     print(f"Map data {ATTRIBUTION}")
 
 

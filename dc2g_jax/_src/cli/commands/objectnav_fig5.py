@@ -38,7 +38,7 @@ _COLUMNS = 5
 class Options(SearchOptions, NetworkOptions):
     """Search a house for an object and draw the search.
 
-    Networks come from experiments.objectnav_train.
+    Networks come from `dc2g objectnav train`.
 
     Attributes:
       house: name of the house, such as `val-3`; the first one of the split by default.

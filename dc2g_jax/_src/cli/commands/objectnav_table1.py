@@ -21,7 +21,7 @@ from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, es
 class Options(ComparisonOptions, NetworkOptions):
     """Run the agents of Table I in unseen houses, and compare them with the paper's figures.
 
-    Networks come from experiments.objectnav_train.
+    Networks come from `dc2g objectnav train`.
 
     Attributes:
       agents: agents to run: true_cost knows the path; random drives at random until it sees its target; frontier goes

@@ -36,7 +36,7 @@ class Options(ComparisonOptions):
     """Compare networks with semantic maps, mid-level features or both as inputs, in unseen houses.
 
     Attributes:
-      networks: folders of networks, from experiments.objectnav_train with `--inputs semantic` and so on; the last one
+      networks: folders of networks, from `dc2g objectnav train` with `--inputs semantic` and so on; the last one
         is compared with the others. The shipped network by default.
       agent: how costs guide the robot: promising or predicted; see dc2g objectnav table1.
       maps: number of partial maps to predict costs for.

@@ -83,14 +83,14 @@ class Options(TrainingOptions, Pauses):
     """
 
     dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
-    count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
+    count: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     strict: bool = False
     validation_houses: int = 20
     collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
     encoder: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     encoder_steps: int = 3000
     recipe: Literal["better", "paper"] = "better"
-    learning_rate: Annotated[float | None, tyro.conf.arg(help_behavior_hint="")] = None
+    learning_rate: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     inputs: Literal["both", "semantic", "midlevel"] = "both"
     patch: int = CostMapArchitecture.patch
     widths: tuple[int, ...] = CostMapArchitecture.widths
