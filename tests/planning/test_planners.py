@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from flax import struct
 
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax._src.grid import gridworld, poses
 from dc2g_jax._src.grid.gridworld import belief_from_map
@@ -365,7 +366,7 @@ def test_an_estimator_without_an_axis_of_outcomes_is_refused():
             return super().estimate(terrain, state)[0]
 
     planner = DC2G(Flat(), RULES["complete"], views=((), (1,)))
-    with pytest.raises(ValueError, match=r"Flat answers with \[11, 33\] for a map of \[11, 33\]; give \[outcomes"):
+    with pytest.raises(InputError, match=r"Flat answers with \[11, 33\] for a map of \[11, 33\]; give \[outcomes"):
         planner.init(World.from_terrain(maps.random_terrain(0, (11, 33), 0.85)))
 
 
@@ -427,7 +428,7 @@ def test_settings_of_the_users_own_go_by_their_name():
     assert named_settings("paper") is SETTINGS["paper"]
     refusal(lambda: named_settings("wide"), "'wide'", "known: published, reference, paper, occluded", ":Name")
     refusal(
-        lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax._src.planning.rules.Settings"
+        lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax.planning.Settings"
     )
 
 

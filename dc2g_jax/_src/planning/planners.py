@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
 from dc2g_jax._src.estimation.extents import Surroundings
@@ -417,14 +418,14 @@ class DC2G(AskingPlanner):
           state: state of the estimator.
 
         Raises:
-          ValueError: the estimate does not have the shape `[outcomes, *shape of the map]`.
+          InputError: the estimate does not have the shape `[outcomes, *shape of the map]`.
         """
         estimator, summary = self.estimator, self.selection.summary
         if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
             estimator, summary = estimator.summarized(summary), lambda costs: costs
         costs = estimator.estimate(terrain, state)
         if costs.shape[1:] != terrain.shape:
-            raise ValueError(
+            raise InputError(
                 f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
                 "give [outcomes, *shape of the map], with one outcome at least"
             )

@@ -157,6 +157,6 @@ def named_settings(settings: str | Settings) -> Settings:
     found = own_part("set of rules", settings, SETTINGS)
     if not isinstance(found, Settings):
         raise InputError(
-            f"set of rules {settings!r}: is {short(found)}; give an instance of dc2g_jax._src.planning.rules.Settings"
+            f"set of rules {settings!r}: is {short(found)}; give an instance of dc2g_jax.planning.Settings"
         )
     return found
