@@ -1,8 +1,8 @@
 """Planners, their rules, and the planner on a robot."""
 
 from dc2g_jax._src.planning import frontiers as frontiers
+from dc2g_jax._src.planning.bounded import Bounded as Bounded
 from dc2g_jax._src.planning.decisions import Decision as Decision
-from dc2g_jax._src.planning.guarantee import Guaranteed as Guaranteed
 from dc2g_jax._src.planning.metric import MetricDecision as MetricDecision, MetricPlanner as MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap as MetricMap, MetricPose as MetricPose
 from dc2g_jax._src.planning.named import PLANNERS as PLANNERS, make_planner as make_planner

@@ -427,9 +427,7 @@ def test_settings_of_the_users_own_go_by_their_name():
     assert named_settings(f"{__name__}:NARROW") is NARROW
     assert named_settings("paper") is SETTINGS["paper"]
     refusal(lambda: named_settings("wide"), "'wide'", "known: published, reference, paper, occluded", ":Name")
-    refusal(
-        lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax.planning.Settings"
-    )
+    refusal(lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax.planning.Settings")
 
 
 def test_equal_rules_are_one_value():

@@ -12,7 +12,7 @@ from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid.poses import LEFT_ACTION, make_pose
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.guarantee import Guaranteed
+from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle, asks
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.planning.selection import QuantileCost
@@ -196,8 +196,8 @@ def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     "planner",
     [
         network_planner(0),
-        Guaranteed(network_planner(0), RULES, factor=1.5, slack=0.5),
-        Guaranteed(Frontier(RULES), RULES, factor=2.0, slack=1.0),
+        Bounded(network_planner(0), RULES, factor=1.5, slack=0.5),
+        Bounded(Frontier(RULES), RULES, factor=2.0, slack=1.0),
     ],
     ids=["DC2G", "bounded", "asks nothing"],
 )

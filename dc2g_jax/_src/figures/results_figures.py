@@ -54,7 +54,7 @@ PLANNER_STYLES = {
     "dc2g_paper": PlannerStyle("DC2G, Algorithm 2 alone", "#f0e442", hatch="\\\\\\", marker="v"),
     "dc2g": PlannerStyle("DC2G", "#0072b2"),
     "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", hatch="...", marker="D"),
-    "dc2g_guarded": PlannerStyle("DC2G, guarded", "#56b4e9", hatch="---", marker="p"),
+    "dc2g_bounded": PlannerStyle("DC2G, bounded", "#56b4e9", hatch="---", marker="p"),
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 

@@ -10,8 +10,8 @@ from typing import Any
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo, answers_in_cells
 from dc2g_jax._src.own_parts import own_part
+from dc2g_jax._src.planning.bounded import Bounded, CautiousDC2G
 from dc2g_jax._src.planning.frontiers import facing_most
-from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax._src.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
@@ -55,10 +55,10 @@ def _by_the_paper(estimator: Estimator, rules: Rules, patience: Patience = ENDLE
     return DC2G(estimator, rules)
 
 
-def _guarded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Guaranteed:
-    """`dc2g` with a bound on its actions (see docs/notebook/guarantee.md)."""
+def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Bounded:
+    """`dc2g` with a bound on its actions (see docs/notebook/bounded.md)."""
     planner = NETWORK_PLANNERS["dc2g"](estimator, rules, patience, DC2G)
-    return Guaranteed(planner, planner.rules, factor=2.0, slack=3.0)
+    return Bounded(planner, planner.rules, factor=2.0, slack=3.0)
 
 
 #: Planners after other papers, each in a file of its own, which is imported when the planner is asked for: without and
@@ -96,7 +96,7 @@ NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
     "dc2g_paper": _by_the_paper,
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
-    "dc2g_guarded": _guarded,
+    "dc2g_bounded": _bounded,
     **{name: functools.partial(_rival_on_network, name) for name in NETWORK_RIVALS},
 }
 
@@ -104,7 +104,7 @@ NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
 FIGURE_PLANNERS: tuple[str, ...] = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
 #: All planner names.
-PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_paper", "dc2g_guarded", *RIVALS, *NETWORK_RIVALS)
+PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_paper", "dc2g_bounded", *RIVALS, *NETWORK_RIVALS)
 
 
 def make_planner(

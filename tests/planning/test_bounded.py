@@ -13,7 +13,7 @@ from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.grid.streets import in_town, is_town
 from dc2g_jax._src.grid.terrain import GRASS, ROAD
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed, GuaranteedState
+from dc2g_jax._src.planning.bounded import Bounded, BoundedState, CautiousDC2G
 from dc2g_jax._src.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
@@ -82,7 +82,7 @@ def test_no_planner_breaks_a_bound_that_once_held():
     frontier_steps = plain_frontier_steps(terrains, starts, "complete")
     tight = []
     for factor, slack in BOUNDS:
-        planner = Guaranteed(Hostile(COMPLETE), COMPLETE, factor, slack, where=has_seen_one_view)
+        planner = Bounded(Hostile(COMPLETE), COMPLETE, factor, slack, where=has_seen_one_view)
         done = run(planner, terrains, starts)
         tight.append(largest_ratio(done, terrains, starts, frontier_steps, factor, slack * SIDES) / factor)
     # The bound is not out of reach: hostile planners come close to it.
@@ -94,7 +94,7 @@ def test_the_bound_holds_where_walls_hide_what_is_behind_them():
     terrains, starts = misleading_worlds(SHAPE, 500, EPISODES)
     alone = run(Frontier(rules), terrains, starts)
     assert alone.success.all()
-    done = run(Guaranteed(Hostile(rules), rules, 1.0, 0.4, virtual_steps=1), terrains, starts)
+    done = run(Bounded(Hostile(rules), rules, 1.0, 0.4, virtual_steps=1), terrains, starts)
     largest_ratio(done, terrains, starts, alone.steps, 1.0, 0.4 * SIDES)
 
 
@@ -104,7 +104,7 @@ def test_the_bound_holds_under_the_reference_rules_where_frontier_exploration_en
     alone = run(Frontier(rules), terrains, starts)
     ends = np.flatnonzero(alone.success)
     assert len(ends) > EPISODES / 2
-    done = run(Guaranteed(Hostile(rules), rules, 2.0, 0.3), terrains[ends], [starts[number] for number in ends])
+    done = run(Bounded(Hostile(rules), rules, 2.0, 0.3), terrains[ends], [starts[number] for number in ends])
     largest_ratio(done, terrains[ends], [starts[number] for number in ends], alone.steps[ends], 2.0, 0.3 * SIDES)
 
 
@@ -115,7 +115,7 @@ def test_no_planner_breaks_the_bound_in_thousands_of_episodes(number):
     terrains, starts = misleading_worlds((20, 40), 10_000 + 2000 * number, 2000)
     alone = run(Frontier(COMPLETE), terrains, starts, step_limit=4000)
     assert alone.success.all()
-    done = run(Guaranteed(Hostile(COMPLETE), COMPLETE, factor, slack), terrains, starts, step_limit=4000)
+    done = run(Bounded(Hostile(COMPLETE), COMPLETE, factor, slack), terrains, starts, step_limit=4000)
     ratio = largest_ratio(done, terrains, starts, alone.steps, factor, slack * 60)
     print(f"factor {factor}, slack {slack} x 60: largest (T - slack) / F {ratio:.3f}")
 
@@ -123,7 +123,7 @@ def test_no_planner_breaks_the_bound_in_thousands_of_episodes(number):
 def test_with_infinite_slack_the_actions_are_the_wrapped_planners():
     terrains, starts = misleading_worlds(SHAPE, 700, EPISODES)
     alone = run(Hostile(COMPLETE), terrains, starts)
-    done = run(Guaranteed(Hostile(COMPLETE), COMPLETE, 1.0, np.inf), terrains, starts)
+    done = run(Bounded(Hostile(COMPLETE), COMPLETE, 1.0, np.inf), terrains, starts)
     # Where a planner gives up or may drive into a wall, which none is allowed to, the robot goes with the shadow.
     allowed = np.arange(EPISODES) % KINDS < 5
     np.testing.assert_array_equal(done.actions[allowed], alone.actions[allowed])
@@ -132,7 +132,7 @@ def test_with_infinite_slack_the_actions_are_the_wrapped_planners():
 def test_without_slack_the_actions_are_those_of_frontier_exploration():
     terrains, starts = misleading_worlds(SHAPE, 800, EPISODES)
     alone = run(Frontier(COMPLETE), terrains, starts)
-    done = run(Guaranteed(Hostile(COMPLETE), COMPLETE, 1.0, 0.0), terrains, starts)
+    done = run(Bounded(Hostile(COMPLETE), COMPLETE, 1.0, 0.0), terrains, starts)
     np.testing.assert_array_equal(done.actions, alone.actions)
 
 
@@ -164,7 +164,7 @@ def test_only_maps_larger_than_those_of_its_network_can_be_towns():
         network = random_network(Architecture(widths=(4, 4), side=side))
         planner = CautiousDC2G(network, COMPLETE, magnifies=True)
         extent = planner._extent(belief)
-        assert isinstance(planner.init(belief), GuaranteedState) == (side < 60)
+        assert isinstance(planner.init(belief), BoundedState) == (side < 60)
         if side < 60:
             assert (extent.side, extent.prior) == (40, 40.0)
         else:
@@ -172,7 +172,7 @@ def test_only_maps_larger_than_those_of_its_network_can_be_towns():
 
 
 def test_a_robot_that_cannot_reach_the_door_is_left_to_the_wrapped_planner(island):
-    done = run(Guaranteed(Frontier(COMPLETE), COMPLETE, 1.0, 0.0), island[None], [(0, 0, 0)])
+    done = run(Bounded(Frontier(COMPLETE), COMPLETE, 1.0, 0.0), island[None], [(0, 0, 0)])
     assert not done.success[0]
     assert done.mode[0] == GAVE_UP
 
@@ -182,7 +182,7 @@ def test_the_shadow_explores_as_frontier_does_by_so_many_actions_a_decision(stre
     world, start = World.from_terrain(street), make_pose(8, 4, 2)
     alone = gridworld.reset(world, start, COMPLETE.sensing)
     reachable, at = Frontier(COMPLETE).init(world), [start]
-    planner = Guaranteed(Frontier(COMPLETE), COMPLETE, 1.0, np.inf, virtual_steps)
+    planner = Bounded(Frontier(COMPLETE), COMPLETE, 1.0, np.inf, virtual_steps)
     state, everything = planner.init(world), gridworld.belief_from_map(street, start)
     decide, explore = jax.jit(planner.plan), jax.jit(Frontier(COMPLETE).plan)
     for number in range(1, 3):
@@ -196,7 +196,7 @@ def test_the_shadow_explores_as_frontier_does_by_so_many_actions_a_decision(stre
 
 
 def test_the_assessment_describes_the_plan_that_is_carried_out(street):
-    planner = Guaranteed(LowestColumn(COMPLETE), COMPLETE, 1.0, 0.0)
+    planner = Bounded(LowestColumn(COMPLETE), COMPLETE, 1.0, 0.0)
     world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(8, 4, 0), COMPLETE.sensing)
     state = planner.init(world)
@@ -211,7 +211,7 @@ def test_the_assessment_describes_the_plan_that_is_carried_out(street):
 
 
 def test_no_bound_is_left_on_a_map_whose_cells_changed(street):
-    planner = Guaranteed(DC2G(Scattered(), COMPLETE), COMPLETE, 1.0, 0.0)
+    planner = Bounded(DC2G(Scattered(), COMPLETE), COMPLETE, 1.0, 0.0)
     world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(8, 4, 2), COMPLETE.sensing)
     _, state = planner.plan(belief, planner.init(world))
@@ -226,5 +226,5 @@ def test_no_bound_is_left_on_a_map_whose_cells_changed(street):
 
 def test_without_a_memory_there_is_only_the_wrapped_planner():
     wrapped = DC2G(Scattered(), COMPLETE)
-    assert Guaranteed(wrapped, COMPLETE, 1.0, 1.0).memoryless() == wrapped.memoryless()
-    assert Guaranteed(Hostile(COMPLETE), COMPLETE, 1.0, 1.0).memoryless() == Hostile(COMPLETE)
+    assert Bounded(wrapped, COMPLETE, 1.0, 1.0).memoryless() == wrapped.memoryless()
+    assert Bounded(Hostile(COMPLETE), COMPLETE, 1.0, 1.0).memoryless() == Hostile(COMPLETE)

@@ -2,7 +2,7 @@
 
 A virtual robot, the shadow, explores as `Frontier` does. It moves for free as long as the robot has already seen what
 it would see. The robot follows any planner until it can only just afford to return to the shadow. The proof of the
-bound is in docs/notebook/guarantee.md.
+bound is in docs/notebook/bounded.md.
 """
 
 import dataclasses
@@ -64,8 +64,8 @@ class Shadow(NamedTuple):
     steps: Int[Array, "*batch"]
 
 
-class GuaranteedState(NamedTuple):
-    """State of `Guaranteed` between steps.
+class BoundedState(NamedTuple):
+    """State of `Bounded` between steps.
 
     Attributes:
       planner: state of the wrapped planner.
@@ -92,7 +92,7 @@ def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
 
 
 @struct.dataclass
-class Guaranteed(AskingPlanner):
+class Bounded(AskingPlanner):
     """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
@@ -127,7 +127,7 @@ class Guaranteed(AskingPlanner):
         """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""
         return memoryless(self.planner)
 
-    def init(self, world: World) -> GuaranteedState:
+    def init(self, world: World) -> BoundedState:
         """The wrapped planner's state. The shadow starts at the first decision, at the robot's pose."""
         nothing = jnp.zeros_like(world.traversable)
         zero = jnp.zeros(nothing.shape[2:], jnp.int32)
@@ -140,21 +140,19 @@ class Guaranteed(AskingPlanner):
             steps=jnp.full_like(zero, -1),
         )
         no = jnp.zeros_like(zero, bool)
-        return GuaranteedState(self.planner.init(world), shadow, taken=zero, led=no, bounded=no)
+        return BoundedState(self.planner.init(world), shadow, taken=zero, led=no, bounded=no)
 
-    def look(self, belief: Belief, state: GuaranteedState) -> tuple[Bool[Array, "*batch"], Any]:
+    def look(self, belief: Belief, state: BoundedState) -> tuple[Bool[Array, "*batch"], Any]:
         """What the wrapped planner looks at."""
         if asks(self.planner):
             return self.planner.look(belief, state.planner)
         return jnp.zeros(belief.pose.x.shape, bool), ()
 
-    def ask(self, belief: Belief, state: GuaranteedState) -> Estimates:
+    def ask(self, belief: Belief, state: BoundedState) -> Estimates:
         """The answer that the wrapped planner gets, if it asks."""
         return self.planner.ask(belief, state.planner) if asks(self.planner) else jnp.zeros((1, *belief.pose.x.shape))
 
-    def conclude(
-        self, belief: Belief, state: GuaranteedState, looked: Any, ask: Ask
-    ) -> tuple[Assessment, GuaranteedState]:
+    def conclude(self, belief: Belief, state: BoundedState, looked: Any, ask: Ask) -> tuple[Assessment, BoundedState]:
         """The wrapped planner's decision while the bound allows it; else return to the shadow, or go with it.
 
         Candidates, score and cost-to-go are the wrapped planner's; the plan is the one that is carried out. A robot
@@ -169,10 +167,10 @@ class Guaranteed(AskingPlanner):
             assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
         shadow, bounded = self._caught_up(belief, state.shadow), state.bounded | self.where(belief)
         plan, led = self._bounded(belief, assessment.plan, state._replace(shadow=shadow, bounded=bounded))
-        state = GuaranteedState(planner_state, shadow, state.taken + 1, led, bounded)
+        state = BoundedState(planner_state, shadow, state.taken + 1, led, bounded)
         return dataclasses.replace(assessment, plan=plan), state
 
-    def revised(self, state: GuaranteedState, changed: Board) -> GuaranteedState:
+    def revised(self, state: BoundedState, changed: Board) -> BoundedState:
         """The state after these cells changed their class: without a bound if there are any.
 
         The robot then follows the wrapped planner alone, since the shadow has not seen the map as it is now.
@@ -211,7 +209,7 @@ class Guaranteed(AskingPlanner):
         later = Shadow(next_pose, seen, reachable, plan.action, plan.mode, shadow.steps + 1)
         return _chosen(moves, later, shadow), moves
 
-    def _bounded(self, belief: Belief, wrapped: Plan, state: GuaranteedState) -> tuple[Plan, Bool[Array, "*batch"]]:
+    def _bounded(self, belief: Belief, wrapped: Plan, state: BoundedState) -> tuple[Plan, Bool[Array, "*batch"]]:
         """The plan that keeps the bound, and whether the robot is led by the shadow."""
         shadow = state.shadow
         there = _same(belief.pose, shadow.pose)
@@ -244,11 +242,11 @@ class CautiousDC2G(DC2G):
         planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
         if not bounded:
             return planner
-        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town)
+        return Bounded(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town)
 
     def _of(self, state: Any) -> Any:
         """The planner whose state this is."""
-        return self._deciding(isinstance(state, GuaranteedState))
+        return self._deciding(isinstance(state, BoundedState))
 
     def init(self, world: World) -> Any:
         """The state of `DC2G`, or of its bound on larger maps than those of the training."""
