@@ -25,7 +25,7 @@ BOUNDARIES = (
     "online, planner",
     "online, estimator",
     "fleet",
-    "searches, guide",
+    "searches, estimator",
     "training",
     "sweep",
     "translator",

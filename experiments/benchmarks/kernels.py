@@ -185,7 +185,7 @@ def network_row(bench: Bench, section: str, batch: int) -> Row:
 @functools.cache
 def network_pace_row(bench: Bench) -> Row:
     """The network alone, asked by every core at once as rollouts of `dc2g` do: the pace it sets for them."""
-    batch, mesh = 4 if bench.quick else 64, mesh_of()
+    batch, mesh = 4 if bench.quick else planners.DC2G.batch_per_core, mesh_of()
     belief = bench.robots("frontier").batch(batch).belief
     terrain = np.repeat(np.moveaxis(np.asarray(belief.terrain), -1, 0), mesh.size, axis=0)
     network = bench.network.summarized(ExpectedCost(distance_weight=0.0).summary)

@@ -174,7 +174,11 @@ _STEPS_BETWEEN_CHECKS = 8
 
 
 def _count(
-    pose: Pose, free: Board, wanted: PoseSet, counted: Callable[[PoseSet], Array]
+    pose: Pose,
+    free: Board,
+    wanted: PoseSet,
+    find: Callable[[PoseSet, PoseSet], PoseSet],
+    counted: Callable[[PoseSet], Array],
 ) -> tuple[PoseSet, UInt32[Array, "bit ..."]]:
     """Find poses in the order of their distance from a pose, and count the steps to them, bit-sliced.
 
@@ -185,8 +189,8 @@ def _count(
       pose: where the wavefront begins.
       free: cells that it may cover.
       wanted: poses to find.
-      counted: what has a count of its own: maps a pose set to itself or to its cells. Only the first poses of each are
-        found.
+      find: `(poses reached, poses found before) ->` the wanted poses found.
+      counted: what has a count of its own: maps a pose set to itself or to its cells.
 
     Returns:
       The poses that were found; and the steps to them, beyond the first, in Gray code, highest bit first. Each plane
@@ -197,7 +201,7 @@ def _count(
     def grow(_: Any, carry: tuple[PoseSet, PoseSet, Array, Array]) -> tuple[PoseSet, PoseSet, Array, Array]:
         reached, found, planes, number = carry
         reached = poses.grown(reached, free)
-        found = found | wanted & reached & ~counted(found)
+        found = find(reached, found)
         bit = jax.lax.population_count(number & ~(number + 1))  # the one that differs in the next number
         plane = jax.lax.dynamic_index_in_dim(planes, bit, 0, keepdims=False)
         planes = jax.lax.dynamic_update_index_in_dim(planes, plane ^ ~counted(found), bit, 0)
@@ -226,7 +230,9 @@ def _decoded(planes: UInt32[Array, "bit ..."], unpack: Callable[[Array], Array])
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
     """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
-    reached, planes = _count(pose, free, poses.every_heading(free), lambda found: found)
+    reached, planes = _count(
+        pose, free, poses.every_heading(free), find=lambda reached, _: reached, counted=lambda found: found
+    )
     lengths = _decoded(planes, lambda plane: poses.unpack(plane, width)) + 1
     lengths = jnp.where(poses.unpack(only(pose, *free.shape[:2]), width), 0, lengths)
     return jnp.where(poses.unpack(reached, width), lengths, -1)
@@ -246,7 +252,11 @@ def nearest_headings(
     Returns:
       The nearest candidates of every cell, and their distance in actions; 1 on cells without candidates.
     """
-    nearest, planes = _count(pose, free, candidates, poses.occupied)
+
+    def find(reached: PoseSet, nearest: PoseSet) -> PoseSet:
+        return nearest | candidates & reached & ~poses.occupied(nearest)
+
+    nearest, planes = _count(pose, free, candidates, find, counted=poses.occupied)
     return nearest, _decoded(planes, lambda plane: bitboard.unpack(plane, width)) + 1
 
 
