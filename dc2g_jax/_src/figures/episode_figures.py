@@ -261,7 +261,10 @@ def draw_costs(axes: Axes, house: House, frames: Frames, frame: int, high: float
     ground, seen, share = TRAVERSABLE[house.terrain], frames.seen[frame], cost_shares(frames, high)[frame]
     _draw_cost(axes, share, seen & ground, seen & ~ground)
     if not predicts(share):
-        axes.text(0.5, 0.97, "no prediction", ha="center", va="top", transform=axes.transAxes, fontsize=FONT)
+        ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # or the map's outlines cross the words
+        axes.text(
+            0.5, 0.97, "no prediction", ha="center", va="top", transform=axes.transAxes, fontsize=FONT, bbox=ground
+        )
 
 
 def poses_along(result: EpisodeResult, house: House) -> Pose:
