@@ -110,6 +110,8 @@ def test_programs_of_classes_long_gone_are_dropped(monkeypatch):
         (lambda cells: jnp.where(cells > 3, jnp.cumsum(cells, axis=0), jax.lax.population_count(cells)), True),
         (lambda cells: jax.lax.cond(cells[0, 0] > 3, lambda: cells + TABLE, lambda: cells - cells.argmax(0)), True),
         (lambda cells: cells.astype(jnp.float32).sum(), False),
+        (lambda cells: cells.astype(jnp.uint8).max(0), False),
+        (lambda cells: cells.astype(jnp.int16).min(0), True),
         (lambda cells: jnp.zeros(99).at[cells[0]].add(1.0), False),
         (lambda cells: jnp.sort(cells, axis=0), False),
         (lambda cells: cells.astype(jnp.float32) @ cells.astype(jnp.float32).T, False),

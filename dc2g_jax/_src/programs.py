@@ -104,8 +104,8 @@ ONE_OPERATION_OPTIONS = {
 def is_one_operation(jaxpr: Jaxpr) -> bool:
     """Whether XLA compiles a program within one operation of a CPU.
 
-    It does not if the program calls a network, sorts, calls back, reduces floating-point numbers, or scatters values to
-    more than one place.
+    It does not if the program calls a network, sorts, calls back, reduces floating-point numbers, seeks the least or
+    largest of 8-bit integers, or scatters values to more than one place.
     """
 
     def fits(equation: JaxprEqn) -> bool:
@@ -115,6 +115,8 @@ def is_one_operation(jaxpr: Jaxpr) -> bool:
             return inputs[1].size == inputs[1].shape[-1]  # the second input tells the places
         if name.startswith("reduce_") and jnp.issubdtype(inputs[0].dtype, jnp.inexact):
             return False
+        if name in ("reduce_max", "reduce_min") and inputs[0].dtype.itemsize == 1:
+            return False  # a library's, here
         return name in _WITHIN_ONE_OPERATION and all(map(is_one_operation, jaxprs_in_params(equation.params)))
 
     return all(map(fits, jaxpr.eqns))

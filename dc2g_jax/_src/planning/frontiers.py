@@ -94,6 +94,7 @@ def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UI
       sensing: the robot's field of view.
     """
     new = sensing.count_seen(unseen(belief), belief.opaque, belief.width)
+    # Not `jnp.max`, which is no part of an operation for 8-bit integers, see `programs.is_one_operation`.
     return functools.reduce(jnp.maximum, jnp.where(poses.unpack(candidates, belief.width), new, 0))
 
 

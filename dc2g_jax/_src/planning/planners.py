@@ -33,7 +33,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.nearby import Decided, nearby
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, Selection
+from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, Selection, mean_of
 from dc2g_jax._src.programs import apart
 
 #: Plan modes.
@@ -141,7 +141,7 @@ class AskingPlanner(AssessingPlanner):
     """
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
-        """Whether the estimator is asked, and what else the decision depends on."""
+        """Whether the estimator is asked, and what else the decision depends on but its answer."""
         raise NotImplementedError
 
     def ask(self, belief: Belief, state: Any) -> Estimates:
@@ -154,15 +154,14 @@ class AskingPlanner(AssessingPlanner):
         Args:
           belief: what the robot knows.
           state: state of the planner.
-          looked: the second result of `look`.
+          looked: the result of `look`.
           ask: `(belief, state) ->` the estimator's answer.
         """
         raise NotImplementedError
 
     def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
         """Decide the next action, and return the inputs."""
-        _, looked = self.look(belief, state)
-        return self.conclude(belief, state, looked, self.ask)
+        return self.conclude(belief, state, self.look(belief, state), self.ask)
 
 
 class MapRevisingPlanner(Planner, Protocol):
@@ -478,7 +477,7 @@ class DC2G(AskingPlanner):
         enough = max(1, round(self.replan_fraction * len(self.rules.sensing.offsets[0])))
         # Robots that do not explore need no subgoal.
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
-        return outdated, Look(outdated, reachable, revealing, decided_near)
+        return outdated, Look(reachable, revealing, decided_near)
 
     def ask(self, belief: Belief, state: "ExplorationState") -> Estimates:
         """The selection rule's summary of an estimate, for the next view; without a memory, for all views."""
@@ -508,21 +507,22 @@ class DC2G(AskingPlanner):
         )
 
     def conclude(
-        self, belief: Belief, state: "ExplorationState", looked: "Look", ask: Ask
+        self, belief: Belief, state: "ExplorationState", looked: "tuple[Bool[Array, '*batch'], Look]", ask: Ask
     ) -> "tuple[Assessment, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
 
         The scores are the current ones; the subgoal had the lowest when it was chosen.
         """
         make = functools.partial(self._choose if self.memory else self._estimated, ask=ask)
-        choice = update_where(make, looked.outdated, (belief, state, looked), state.choice)
-        candidates, score, penalty = self._scored(belief, looked, choice.estimate)
+        outdated, look = looked
+        choice = update_where(make, outdated, (belief, state, look), state.choice)
+        candidates, score, penalty = self._scored(belief, look, choice.estimate)
         if not self.memory:  # the choice is always new, so it is made from these scores
             choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
-        plan = explore_or_finish(belief, looked.reachable, choice.subgoals & looked.revealing, self.rules)
-        cost_to_go = sum(choice.estimate[1:], choice.estimate[0]) / len(choice.estimate)
-        state = ExplorationState(looked.reachable, choice, looked.decided_near, state.estimator)
-        return Assessment(plan, looked.reachable, candidates, score, cost_to_go, penalty), state
+        plan = explore_or_finish(belief, look.reachable, choice.subgoals & look.revealing, self.rules)
+        cost_to_go = mean_of(choice.estimate)
+        state = ExplorationState(look.reachable, choice, look.decided_near, state.estimator)
+        return Assessment(plan, look.reachable, candidates, score, cost_to_go, penalty), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
         """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
@@ -537,13 +537,11 @@ class Look(NamedTuple):
     """What a decision of DC2G depends on besides the estimate.
 
     Attributes:
-      outdated: whether another choice of the subgoal is due.
       reachable: reachable cells.
       revealing: poses that reveal something when reached.
       decided_near: number of decisions near each cell, if `patience` has a price.
     """
 
-    outdated: Bool[Array, "*batch"]
     reachable: Board
     revealing: PoseSet
     decided_near: Int[Array, "h w *batch"]
@@ -567,7 +565,7 @@ class Choice(NamedTuple):
     @property
     def estimate(self) -> Estimates:
         """The mean of the views' estimates."""
-        return sum(self.estimates[1:], self.estimates[0]) / len(self.estimates)
+        return mean_of(self.estimates)
 
 
 class ExplorationState(NamedTuple):

@@ -1,7 +1,7 @@
 """Rules that select a subgoal from estimated costs (Algorithm 2, line 11, and alternatives)."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 import jax.numpy as jnp
@@ -43,6 +43,14 @@ class Selection(Protocol):
           distance: actions from the robot to every cell; arbitrary if `distance_weight` is 0.
         """
         ...
+
+
+def mean_of(values: Sequence[Array] | Array) -> Array:
+    """The mean of arrays of one shape, or along the first axis.
+
+    Added one by one: XLA has no code for a sum of floats along an axis within an operation.
+    """
+    return sum(values[1:], values[0]) / len(values)
 
 
 def linear(summary: _Summary) -> _Summary:
@@ -116,7 +124,7 @@ class ExpectedCost(_OneCost):
     @linear
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The mean."""
-        return sum(costs[1:], costs[:1]) / len(costs)
+        return mean_of(costs)[None]
 
 
 @dataclasses.dataclass(frozen=True)

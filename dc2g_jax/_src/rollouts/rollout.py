@@ -7,7 +7,7 @@ finished robots. Every device serves its own queue. Results do not depend on the
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -226,6 +226,11 @@ def _record(state: _State) -> _State:
     )
 
 
+def _until_each_asks(planner: Planner, mesh: Mesh) -> TypeGuard[AskingPlanner]:
+    """Whether robots run one after another, with robots on the first axis of the slots: see `_alone`."""
+    return platform(mesh) == "cpu" and asks(planner)
+
+
 def _alone(
     state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: AskingPlanner, sensing: Kernel, step_limit: int
 ) -> _State:
@@ -251,7 +256,7 @@ def _alone(
             return (state.slots.active & ((taken == 0) | ~asks & (taken < _DECISIONS_PER_TURN)))[0]
 
         def cycle(carry: tuple[_State, Any, Array]) -> tuple[_State, Any, Array]:
-            state, (_, looked), taken = carry
+            state, looked, taken = carry
 
             def decide(belief: Belief, planner_state: Any) -> tuple[Plan, Any]:
                 assessment, planner_state = planner.conclude(belief, planner_state, looked, lambda *_: answer)
@@ -328,7 +333,7 @@ def _run(
         return jax.lax.while_loop(go_on, until_some_finish, (state, jnp.int32(0)))[0]
 
     def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
-        if platform(mesh) == "cpu" and asks(planner):
+        if _until_each_asks(planner, mesh):
             return _alone(dealt[0], n_steps, dealt[1], planner, sensing, step_limit)
         return one_operation(run, *dealt, n_steps, planner)
 
@@ -354,7 +359,7 @@ def _first_states(
             mode=jnp.full(rows, EXPLORE, jnp.int32),
         )
         turns = jnp.arange(n_slots, dtype=jnp.int32)
-        if platform(mesh) == "cpu" and asks(planner):
+        if _until_each_asks(planner, mesh):
             slots = jax.lax.map(lambda turn: _robots(queue, turn, sensing), turns[:, None])
         else:
             slots = _robots(queue, turns, sensing)
