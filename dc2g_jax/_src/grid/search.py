@@ -18,6 +18,13 @@ from dc2g_jax._src.grid.loops import for_each_until, repeated, until
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, only
 from dc2g_jax._src.grid.shifting import shifted
 
+#: Integer costs of a straight and of a diagonal step. Their quotient is sqrt 2 to nine digits and they have no common
+#: divisor, so that sums order paths by their cost and tell the number of steps of each kind.
+_STRAIGHT, _DIAGONAL = 13860, 19601
+
+#: Integer cost of cells without a path.
+_NO_PATH = 2**31 - 1 - _DIAGONAL
+
 #: Wavefront steps between checks for growth on a CPU. Most searches end before the first check.
 _STEPS_BETWEEN_LOOKS = 32
 
@@ -299,8 +306,8 @@ def cost_to_go(
 
     Steps lead over traversable cells and goal cells. A straight step costs 1, a diagonal step sqrt 2; diagonal steps
     past corners are allowed. Where no goal cell touches traversable ground, the goal is dilated by 3x3 squares until it
-    does. The cost is kept as two integers, the numbers of straight and diagonal steps. It is therefore rounded only
-    once, and equal costs compare equal.
+    does. A path's steps of each kind are kept in one integer that orders paths by their cost. The cost is therefore
+    rounded only once, and equal costs compare equal. It is exact up to 150,000 cells with 13,859 diagonal steps.
 
     Args:
       traversable: cells a robot may drive on.
@@ -313,22 +320,17 @@ def cost_to_go(
     goals = _grown_goals(traversable, goals)
     free = traversable | goals
 
-    def relax(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        straight, diagonal, cost, _ = carry
-        best_straight, best_diagonal, best = straight, diagonal, cost
+    def relax(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        least, _ = carry
+        nearer = least
         for dx, dy in moves:
-            is_diagonal = abs(dx * dy)
-            new_straight = shifted(straight, dx, dy, 0) + (1 - is_diagonal)
-            new_diagonal = shifted(diagonal, dx, dy, 0) + is_diagonal
-            reached = free & jnp.isfinite(shifted(cost, dx, dy, jnp.inf))
-            new = jnp.where(reached, new_straight + jnp.sqrt(jnp.float32(2)) * new_diagonal, jnp.inf)
-            better = new < best
-            best_straight = jnp.where(better, new_straight, best_straight)
-            best_diagonal = jnp.where(better, new_diagonal, best_diagonal)
-            best = jnp.where(better, new, best)
-        return best_straight, best_diagonal, best, jnp.any(best < cost)
+            nearer = jnp.minimum(nearer, shifted(least, dx, dy, _NO_PATH) + (_DIAGONAL if dx and dy else _STRAIGHT))
+        nearer = jnp.where(free, nearer, _NO_PATH)
+        return nearer, jnp.any(nearer < least)
 
-    zero = jnp.zeros(goals.shape, jnp.int32)
-    start = (zero, zero, jnp.where(goals, jnp.float32(0), jnp.float32(jnp.inf)), jnp.any(goals))
+    start = (jnp.where(goals, 0, _NO_PATH), jnp.any(goals))
     # A cheapest path has fewer steps than there are cells.
-    return until(lambda carry: ~carry[3], relax, start, most=goals.shape[0] * goals.shape[1] + 1)[2]
+    least, _ = until(lambda carry: ~carry[1], relax, start, most=goals.shape[0] * goals.shape[1] + 1)
+    diagonal = least % _STRAIGHT * pow(_DIAGONAL, -1, _STRAIGHT) % _STRAIGHT
+    straight = (least - diagonal * _DIAGONAL) // _STRAIGHT
+    return jnp.where(least < _NO_PATH, straight + jnp.sqrt(jnp.float32(2)) * diagonal, jnp.inf)

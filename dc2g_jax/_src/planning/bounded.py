@@ -150,7 +150,9 @@ class Bounded(AskingPlanner):
 
     def ask(self, belief: Belief, state: BoundedState) -> Estimates:
         """The answer that the wrapped planner gets, if it asks."""
-        return self.planner.ask(belief, state.planner) if asks(self.planner) else jnp.zeros((1, 1, 1, *belief.pose.x.shape))
+        if asks(self.planner):
+            return self.planner.ask(belief, state.planner)
+        return jnp.zeros((1, 1, 1, *belief.pose.x.shape))
 
     def conclude(self, belief: Belief, state: BoundedState, looked: Any, ask: Ask) -> tuple[Assessment, BoundedState]:
         """The wrapped planner's decision while the bound allows it; else return to the shadow, or go with it.
