@@ -1,7 +1,7 @@
 """Learn where the goal is, not the cost of going there: `python -m experiments.goal_location`.
 
-The same network is trained with the same masks to predict the cost-to-go, the straight-line distance to the nearest goal
-cell, and the goal's place on the map. Algorithm 2 then goes by each of them.
+The same network is trained with the same masks to predict the cost-to-go, the straight-line distance to the nearest
+goal cell, and the goal's place on the map. Algorithm 2 then goes by each of them.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ from dc2g_jax._src.training.train import Watching, train
 
 from .unknown_dimensions import SEEDS
 
-#: Seed of the drawn houses: those of validation. Planners go by each label, and by exact ones.
+#: What a network learns.
 LABELS = ("cost_to_go", "distance", "place")
 
 #: Validation pairs, bootstrap samples, and steps from one look at the pairs to the next.
@@ -296,7 +296,7 @@ def main(options: Options) -> None:
 
 
 def _gain(results: Results, label: str, seeds: tuple[int, ...]) -> dict[str, Any]:
-    """Extra steps by a label less those by the cost-to-go, means over seeds, paired by start; and the houses' interval."""
+    """Extra steps by a label less those by the cost-to-go, by start, means over seeds; and the houses' interval."""
     mine, theirs = (
         np.mean([[one.extra for one in results.of(f"{name} {seed}")] for seed in seeds], axis=0)
         for name in (label, "cost_to_go")

@@ -5,6 +5,7 @@ Networks come from `dc2g objectnav train --loss experiments.indoor_losses:NAME`,
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,8 +43,8 @@ from dc2g_jax._src.search_indoors.learning.losses import (
     cost_loss,
     direction_loss,
     gradient,
-    occupancy_loss,
     occupancy_scores,
+    total_loss,
 )
 from dc2g_jax._src.search_indoors.learning.networks import COST_UNIT, Prediction, fused_cost, load_costs
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
@@ -57,23 +58,17 @@ _BATCH, _RESAMPLES = 16, 10_000
 
 
 def _weighted(
-    prediction: Prediction, occupied: Bool[Array, "h w"], cost: Float[Array, "h w"], **weights: float
+    weights: Mapping[str, float], prediction: Prediction, occupied: Bool[Array, "h w"], cost: Float[Array, "h w"]
 ) -> tuple[Float[Array, ""], dict[str, Any]]:
-    """Some of the paper's losses with their weights. The others are not computed, so the network learns nothing of them."""
-    navigable = ~occupied & jnp.isfinite(cost)
-    losses = {
-        "occupancy": lambda: occupancy_loss(prediction.occupancy_logits, occupied),
-        "cost": lambda: cost_loss(prediction.cost, cost, navigable),
-        "direction": lambda: direction_loss(prediction.cost, cost, navigable),
-    }
-    found = {name: losses[name]() for name in weights}
-    return sum((weights[name] * loss for name, loss in found.items()), jnp.float32(0)), found
+    """Some of the paper's losses with their weights. The network learns nothing of the others."""
+    _, parts = total_loss(prediction, occupied, cost)
+    return sum((weight * parts[name] for name, weight in weights.items()), jnp.float32(0)), parts
 
 
 #: The paper's losses without that of directions; without that of occupancy; and that of occupancy alone.
-no_direction = functools.partial(_weighted, occupancy=1.0, cost=1.5)
-cost_alone = functools.partial(_weighted, cost=1.5, direction=1.0)
-occupancy_alone = functools.partial(_weighted, occupancy=1.0)
+no_direction = functools.partial(_weighted, {"occupancy": 1.0, "cost": 1.5})
+cost_alone = functools.partial(_weighted, {"cost": 1.5, "direction": 1.0})
+occupancy_alone = functools.partial(_weighted, {"occupancy": 1.0})
 
 
 def one_cost(prediction: Prediction) -> Float[Array, "*b h w"]:
@@ -185,9 +180,7 @@ def _maps_of(data: JourneySet, house: int, count: int) -> list[Samples]:
     """Partial maps of the journeys through one house, the same for every network."""
     there = np.flatnonzero(np.asarray(data.house) == house)
     own = {name: getattr(data, name)[there] for name in ("house", "first_seen", "places", "headings", "features")}
-    draw = functools.partial(
-        draw_samples, batch_size=_BATCH, symmetries=UPRIGHT, normalize=NORMALIZATIONS["relative"]
-    )
+    draw = functools.partial(draw_samples, batch_size=_BATCH, symmetries=UPRIGHT, normalize=NORMALIZATIONS["relative"])
     keys = jax.random.split(jax.random.key(house), count // _BATCH)
     return [jit(draw)(key, data.replace(**own)) for key in keys]
 
