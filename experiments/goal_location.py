@@ -269,10 +269,9 @@ def main(options: Options) -> None:
             ).network
             if not masks.exists():
                 shutil.copyfile(folder / masks.name, masks)
-            sources[name] = estimator_of(label, network)
-            facts[name] = {"skill": judge.skill(label, network), "ranks": judge.ranks(sources[name])}
-            facts[name] |= {"curve": curve.skills} if curve.skills else {}
-            facts[name] |= judge.place(sources[name]) if isinstance(sources[name], ExpectedDistance) else {}
+            sources[name] = source = estimator_of(label, network)
+            facts[name] = {"skill": judge.skill(label, network), "ranks": judge.ranks(source), "curve": curve.skills}
+            facts[name] |= judge.place(source) if isinstance(source, ExpectedDistance) else {}
             print(name, {key: value if key == "curve" else round(value, 3) for key, value in facts[name].items()})
     planners = {"frontier": "frontier"} | {
         name: functools.partial(planner_with, "dc2g_paper", estimator=one) for name, one in sources.items()

@@ -15,14 +15,13 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax._src.cli.commands.objectnav_train import kept
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
-from dc2g_jax._src.files.reading import read_object
+from dc2g_jax._src.files.reading import read_arrays, read_object
 from dc2g_jax._src.grid.shifting import shifted
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
@@ -182,7 +181,7 @@ def _maps_of(data: JourneySet, house: int, count: int) -> list[Samples]:
     own = {name: getattr(data, name)[there] for name in ("house", "first_seen", "places", "headings", "features")}
     draw = functools.partial(draw_samples, batch_size=_BATCH, symmetries=UPRIGHT, normalize=NORMALIZATIONS["relative"])
     keys = jax.random.split(jax.random.key(house), count // _BATCH)
-    return [jit(draw)(key, data.replace(**own)) for key in keys]
+    return [jit(draw)(key, dataclasses.replace(data, **own)) for key in keys]
 
 
 def main(options: Options) -> None:
@@ -196,7 +195,9 @@ def main(options: Options) -> None:
     if "paper" not in losses:
         raise InputError("--networks: give one that was trained with the paper's loss, to compare with")
     out = output_folder(options, "indoor_losses")
-    data = kept(options.networks[0] / "validation.npz", lambda _: 1 / 0, 0)
+    path, names = options.networks[0] / "validation.npz", [field.name for field in dataclasses.fields(JourneySet)]
+    arrays = read_arrays(path, names, "train the network again")
+    data = JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
     houses = range(len(data.cells))
     found: dict[str, list[list[dict[str, float]]]] = {}
     samples = [_maps_of(data, house, options.maps) for house in houses]
@@ -209,13 +210,13 @@ def main(options: Options) -> None:
             rows.append(figures_of(jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *sums)))
         found.setdefault(loss.partition(":")[2] or loss, []).append(rows)
     facts: dict[str, Any] = {"houses": len(houses), "maps": options.maps, "losses": {}}
-    names = list(found["paper"][0][0])
+    columns = list(found["paper"][0][0])
     print(f"{options.maps} maps of each of {len(houses)} houses; means over houses (seed by seed), and differences")
     for loss, runs in found.items():
-        values = np.array([[[row[name] for name in names] for row in rows] for rows in runs])
-        paper = np.mean([[[row[name] for name in names] for row in rows] for rows in found["paper"]], axis=0)
+        values = np.array([[[row[name] for name in columns] for row in rows] for rows in runs])
+        paper = np.mean([[[row[name] for name in columns] for row in rows] for rows in found["paper"]], axis=0)
         facts["losses"][loss] = {}
-        for place, name in enumerate(names):
+        for place, name in enumerate(columns):
             column = values[:, :, place]
             gain = house_bootstrap(
                 column.mean(axis=0) - paper[:, place], list(map(str, houses)), resamples=_RESAMPLES, seed=0
