@@ -232,9 +232,9 @@ class Options(DatasetOptions, OutOptions, ResumeOptions):
       drawn: procedural validation houses, with two sampled starts in each.
     """
 
-    steps: int = 2500
+    steps: int = 1000
     seeds: tuple[int, ...] = (0, 1)
-    extra_houses: int = 300
+    extra_houses: int = 200
     starts_per_house: int = 20
     drawn: int = 100
 

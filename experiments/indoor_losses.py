@@ -45,7 +45,7 @@ from dc2g_jax._src.search_indoors.learning.losses import (
     occupancy_scores,
     total_loss,
 )
-from dc2g_jax._src.search_indoors.learning.networks import COST_UNIT, Prediction, fused_cost, load_costs
+from dc2g_jax._src.search_indoors.learning.networks import COST_UNIT, Prediction, load_costs
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
 
 #: Label of a cell that is not free floor where one map tells both, and the cost above which a cell counts as such: 30
@@ -111,7 +111,7 @@ def _figures_of(prediction: Prediction, occupied: Array, true: Array, one: bool)
     navigable = ~occupied & jnp.isfinite(true)
     cost = one_cost(prediction) if one else prediction.cost
     blocked = cost > HIGHEST if one else prediction.occupancy > 0.5
-    final = cost if one else fused_cost(prediction.occupancy, cost)
+    final = jnp.where(blocked, jnp.inf, cost)
     ours, theirs = gradient(cost, navigable), gradient(true, navigable)
     slopes = jnp.sum(theirs**2, axis=0) > 0
     turn = jnp.arctan2(theirs[0] * ours[1] - theirs[1] * ours[0], jnp.sum(ours * theirs, axis=0))
@@ -124,6 +124,7 @@ def _figures_of(prediction: Prediction, occupied: Array, true: Array, one: bool)
         "confusion": confusion(blocked, occupied),
         "aAP5": action_accuracy(final, true, FIVE_ACTIONS),
         "aAP9": action_accuracy(final, true, NINE_ACTIONS),
+        "aAP5 unmasked": action_accuracy(cost, true, FIVE_ACTIONS),
         "maps": jnp.float32(1),
         "navigable": jnp.sum(navigable).astype(jnp.float32),
         "error": COST_UNIT * jnp.sum(jnp.where(navigable, jnp.abs(cost - level), 0)),
@@ -150,7 +151,7 @@ def figures_of(sums: dict[str, np.ndarray]) -> dict[str, float]:
     """Figures of the maps of a house from their sums: shares in %, costs in meters, angles in degrees."""
     found = {name: 100 * float(score) for name, score in occupancy_scores(jnp.asarray(sums["confusion"])).items()}
     found = {name: found[name] for name in ("MPA", "mF1", "mIoU")}
-    found |= {name: 100 * float(sums[name] / sums["maps"]) for name in ("aAP5", "aAP9")}
+    found |= {name: 100 * float(sums[name] / sums["maps"]) for name in ("aAP5", "aAP9", "aAP5 unmasked")}
     found["error m"] = float(sums["error"] / sums["navigable"])
     found["angle"] = float(sums["angle"] / sums["slopes"])
     found |= {
