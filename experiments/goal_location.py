@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 from scipy.stats import spearmanr
 
 from dc2g_jax._src.cli.common import command_line, digests
-from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions
+from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
@@ -221,7 +221,7 @@ class Curve:
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, OutOptions, ResumeOptions):
+class Options(DatasetOptions, OutOptions):
     """Compare networks that learn the cost-to-go, the distance to the goal and the goal's place, in validation houses.
 
     Attributes:
@@ -252,8 +252,8 @@ def main(options: Options) -> None:
         for label in LABELS:
             name = f"{label} {seed}"
             folder, place = out / f"{label}_{seed}", label == "place"
-            folder.mkdir(exist_ok=True)
-            if masks.exists() and not (folder / masks.name).exists():
+            folder.mkdir()
+            if masks.exists():
                 shutil.copyfile(masks, folder / masks.name)
             architecture = Architecture(quantiles=(0.5,)) if place else Architecture()
             losses = (("experiments.goal_location:place_loss", 1.0),) if place else TrainingConfig.losses
