@@ -7,6 +7,7 @@ from dc2g_jax._src.procedural import (
     procedural_training_houses as procedural_training_houses,
     training_house_seed as training_house_seed,
 )
+from dc2g_jax._src.procedural.plain import plain_maps as plain_maps
 from dc2g_jax._src.readers.houses import (
     House as House,
     HouseDataset as HouseDataset,

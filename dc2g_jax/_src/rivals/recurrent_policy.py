@@ -53,6 +53,13 @@ class Surroundings(NamedTuple):
     subgoals: Float[Array, "block number *batch"]
     present: Bool[Array, "block *batch"]
 
+    @classmethod
+    def none(cls, batch: tuple[int, ...]) -> "Surroundings":
+        """Before the first look, for a batch of robots."""
+        numbers = _PLANES, _PLANES * len(_RADII) + _NUMBERS
+        shares, subgoals = (jnp.zeros((BLOCKS, size, *batch), jnp.float32) for size in numbers)
+        return cls(shares, subgoals, jnp.zeros((BLOCKS, *batch), bool))
+
 
 class Memory(NamedTuple):
     """What the policy remembers.
@@ -186,7 +193,8 @@ def surroundings(belief: Belief, moment: Moment, gain: Int[Array, "heading h w *
     none = jnp.iinfo(jnp.int32).max
     rank = jnp.min(jnp.where(eligible, moment.distance * size + number, none), axis=0)
     block = block_of_cells(belief.pose, height, width)
-    rank = jnp.stack([jnp.min(jnp.where(block == one, rank, none), axis=(0, 1)) for one in range(BLOCKS)])
+    inside = block == jnp.arange(BLOCKS).reshape(-1, *(1,) * block.ndim)
+    rank = jnp.min(jnp.where(inside, rank, none), axis=(1, 2))
     present = rank < none
     distance, first = jnp.divmod(jnp.where(present, rank, 0), size)
     there_y, there_x = jnp.divmod(first % (height * width), width)
