@@ -37,11 +37,20 @@ from dc2g_jax.environments import FrontDoor, Params, State, front_door
 from dc2g_jax.estimation import fresh_weights, with_weights, write_safetensors
 from dc2g_jax.grid import sample_grid
 from dc2g_jax.inspection import save_learning_curve
-from dc2g_jax.planning import GAVE_UP, Frontier, Oracle, Rules, complete_rules
-from dc2g_jax._src.rivals.recurrent_policy import UNITS, RecurrentNetwork, RecurrentPolicy, Surroundings
+from dc2g_jax.planning import (
+    GAVE_UP,
+    Frontier,
+    Oracle,
+    RecurrentNetwork,
+    RecurrentPolicy,
+    Rules,
+    Surroundings,
+    complete_rules,
+)
 from dc2g_jax.rollouts import episodes_from, rollout
 
 GAE_DECAY, CLIP, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.95, 0.2, 0.5, 0.5
+UNITS = RecurrentNetwork.UNITS
 FIRST_STEPS = 10  # The cost of a step is what it adds to the logarithm of the steps and these.
 PLAIN = ("mazes", "halls", "offices")
 progress = functools.partial(tqdm, mininterval=0.1 if sys.stderr.isatty() else 15)  # seconds; few lines in a log file
@@ -185,7 +194,9 @@ class PPO:
         notes, steps = memories.estimator.notes, learner.states.belief.steps
         reward = jnp.log(FIRST_STEPS + steps) - jnp.log(FIRST_STEPS + steps + 1)
         # Steps of an episode without a decision teach nothing.
-        step = Step(notes.count > memory.notes.count, notes, steps, reward * (notes.count > 0), done, reached)
+        step = Step(
+            notes.count > memory.notes.count, notes._replace(noise=()), steps, reward * (notes.count > 0), done, reached
+        )
         states, memories = jax.tree.map(
             lambda new, old: jnp.where(done, new, old), self.reset(reset), (states, memories)
         )
@@ -204,7 +215,16 @@ class PPO:
         hidden = jnp.swapaxes(jax.lax.scan(remember, decision.hidden[:, 0], in_turn)[1], 0, 1)
         return policy.rate(hidden, decision.seen), with_weights(Critic, UNITS, weights["critic"])(hidden, steps)
 
-    def loss(self, weights: Any, decision: Decided, steps: Array, before: Array, advantage: Array, target: Array, valid: Array) -> Float[Array, ""]:
+    def loss(
+        self,
+        weights: Any,
+        decision: Decided,
+        steps: Array,
+        before: Array,
+        advantage: Array,
+        target: Array,
+        valid: Array,
+    ) -> Float[Array, ""]:
         """The clipped objective, to be minimized (Schulman et al. 2017, arXiv 1707.06347, equations 7 and 9)."""
         logits, value = self.think(weights, decision, steps)
         mean = lambda values: jnp.sum(values * valid) / jnp.maximum(jnp.sum(valid), 1)  # noqa: E731
@@ -216,9 +236,7 @@ class PPO:
         return -gain + VALUE_WEIGHT * mean(jnp.square(value - target)) - self.options.entropy_weight * entropy
 
     def update(self, learner: Learner, _: None) -> tuple[Learner, Float[Array, "4"]]:
-        """Live for some steps and learn from them; returns how many episodes ended, their total length and its
-        logarithms, and doors.
-        """
+        """Live for some steps and learn; returns how many episodes ended, their steps, logarithms of these, and doors."""
         learner, lived = jax.lax.scan(self.live, learner, None, self.options.steps_per_update)
         decision, steps, reward, done, valid = decisions(lived)
         logits, value = self.think(learner.weights, decision, steps)
@@ -271,7 +289,7 @@ def decisions(lived: Step) -> tuple[Decided, Array, Array, Array, Array]:
     start = lambda leaf: jnp.cumsum(leaf.astype(jnp.float32), axis=0) - leaf  # noqa: E731
     valid = there[:-1] & there[1:]
     reward, done = (at(start(leaf), when[1:]) - at(start(leaf), when[:-1]) for leaf in (lived.reward, lived.done))
-    decision = jax.tree.map(lambda leaf: at(leaf, when), lived.decision._replace(noise=lived.reward))
+    decision = jax.tree.map(lambda leaf: at(leaf, when), lived.decision)
     last = [(0, 0), (0, 1)]
     return decision, at(lived.steps_before, when), *(jnp.pad(leaf, last) for leaf in (reward, done > 0, valid.T))
 
@@ -309,10 +327,12 @@ def learned_weights(options: Options, ppo: PPO) -> tuple[Any, Float[np.ndarray, 
             learner, counts = ppo.learn(learner)
             recent.append(np.sum(counts, axis=0))
             ended, lengths, logs, reached = np.sum(recent, axis=0)
-            curve.append((lengths / ended, np.exp(logs / ended), reached / ended))
-            if len(recent) < window:
-                curve[-1] = (np.nan,) * 3
-            bar.set_postfix(steps=f"{curve[-1][0]:.1f}", geometric=f"{curve[-1][1]:.1f}", success=f"{curve[-1][2]:.0%}", refresh=False)
+            known = lengths / ended, np.exp(logs / ended), reached / ended
+            curve.append(known if len(recent) == window else (np.nan,) * 3)
+            shown = dict(
+                zip(("steps", "geometric_mean", "success"), (f"{value:.3g}" for value in curve[-1]), strict=True)
+            )
+            bar.set_postfix(shown, refresh=False)
             bar.update(steps)
             if options.out is not None:
                 save(options.out / "policy.safetensors", learner.weights["policy"])

@@ -1,8 +1,7 @@
 """A recurrent policy, learned by PPO: which part of the map around the robot to explore next."""
 
-import functools
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,8 +32,8 @@ _OFFSETS = _SIDES * np.tile([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)], (_
 #: Sets of cells whose shares the policy sees, see `_planes`; radii of squares around a subgoal; further numbers of one.
 _PLANES, _RADII, _NUMBERS = 9, (1, 4), 4
 
-#: Units of the recurrent layer, and of the layer that rates a subgoal.
-UNITS, _RATING_UNITS = 64, 48
+#: Units of the layer that rates a subgoal.
+_RATING_UNITS = 48
 
 _GARAGE_DOOR = CLASS_NAMES.index("garage door")
 
@@ -82,6 +81,9 @@ class Memory(NamedTuple):
 class RecurrentNetwork(nnx.Module):
     """A gated recurrent unit on the surroundings; its state and each subgoal's numbers rate the subgoal."""
 
+    #: Units of the recurrent layer.
+    UNITS: ClassVar[int] = 64
+
     def __init__(self, units: int, rngs: nnx.Rngs):
         numbers = _PLANES * (1 + len(_RADII)) + _NUMBERS + BLOCKS
         self.look = nnx.Linear(BLOCKS * _PLANES, units, rngs=rngs)
@@ -104,19 +106,13 @@ class RecurrentNetwork(nnx.Module):
         return jnp.where(seen.present, (self.rating(rated) + self.direct(numbers))[..., 0], -1e9)
 
 
-def read_policy(path: str | Path) -> dict[str, Any]:
-    """The weights of a `RecurrentNetwork` in a file, as float32.
+def read_policy(path: str | Path = resource("weights/recurrent_policy.safetensors")) -> dict[str, Any]:
+    """The weights of a `RecurrentNetwork` in a file, as float32; by default the shipped ones.
 
     Raises:
       InputError: the file cannot be read or holds no such network.
     """
-    return read_weights(path, shapes_of_weights(RecurrentNetwork, UNITS), read_safetensors(path)[0])
-
-
-@functools.cache
-def _shipped() -> dict[str, Any]:
-    with jax.ensure_compile_time_eval():
-        return read_policy(resource("weights/recurrent_policy.safetensors"))
+    return read_weights(path, shapes_of_weights(RecurrentNetwork, RecurrentNetwork.UNITS), read_safetensors(path)[0])
 
 
 def _turned(pose: Pose) -> tuple[Array, Array, Array, Array]:
@@ -224,17 +220,17 @@ class RecurrentPolicy(ChoosingPlanner):
     """
 
     replan_fraction: float = struct.field(pytree_node=False, default=0.5)
-    weights: dict[str, Any] = struct.field(default_factory=_shipped)
+    weights: dict[str, Any] = struct.field(default_factory=read_policy)
 
     def init(self, world: World) -> Chosen:
         """Nothing is reachable, visited or remembered before the first observation."""
         nothing, zero = jnp.zeros_like(world.goals), jnp.zeros(world.goals.shape[2:], jnp.int32)
-        hidden, logits = (jnp.zeros((size, *zero.shape), jnp.float32) for size in (UNITS, BLOCKS))
+        hidden, logits = (jnp.zeros((size, *zero.shape), jnp.float32) for size in (RecurrentNetwork.UNITS, BLOCKS))
         return super().init(world)._replace(estimator=Memory(nothing, hidden, logits, Pose(zero, zero, zero)))
 
     def prefer(self, seen: Surroundings, memory: Memory) -> Memory:
         """The memory after a look at the surroundings, with the preference for each block."""
-        network = with_weights(RecurrentNetwork, UNITS, self.weights)
+        network = with_weights(RecurrentNetwork, RecurrentNetwork.UNITS, self.weights)
         count = seen.present.ndim - 1
 
         def first(leaf: Array) -> Array:
