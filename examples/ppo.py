@@ -136,6 +136,7 @@ class Critic(nnx.Module):
         self.value = nnx.Linear(units, 1, rngs=rngs)
 
     def __call__(self, hidden: Float[Array, "... unit"], steps: Int[Array, "..."]) -> Float[Array, "..."]:
+        """Minus the growth to come."""
         inputs = jnp.concatenate([hidden, jnp.log(FIRST_STEPS + steps)[..., None] - 4], axis=-1)
         return self.value(jax.nn.relu(self.first(inputs)))[..., 0]
 
@@ -236,7 +237,7 @@ class PPO:
         return -gain + VALUE_WEIGHT * mean(jnp.square(value - target)) - self.options.entropy_weight * entropy
 
     def update(self, learner: Learner, _: None) -> tuple[Learner, Float[Array, "4"]]:
-        """Live for some steps and learn; returns how many episodes ended, their steps, logarithms of these, and doors."""
+        """Live for some steps and learn; returns how many episodes ended, their steps, logarithms, and doors."""
         learner, lived = jax.lax.scan(self.live, learner, None, self.options.steps_per_update)
         decision, steps, reward, done, valid = decisions(lived)
         logits, value = self.think(learner.weights, decision, steps)
@@ -345,7 +346,7 @@ def save(path: Path, weights: Any) -> None:
 
 
 def training_maps(options: Options) -> list[House]:
-    """Houses, and as many mazes, halls and offices, drawn with a seed that no dataset has; each as its mirror image too."""
+    """Houses, and as many mazes, halls and offices, of seeds that no dataset has; all of them mirrored, too."""
     pictures = [sample_grid(picture, 50) for picture in procedural_training_houses(options.maps // 2, options.seed)]
     each = -(-(options.maps - len(pictures)) // len(PLAIN))
     for kind in PLAIN:

@@ -35,6 +35,8 @@ _PLANES, _RADII, _NUMBERS = 9, (1, 4), 4
 #: Units of the layer that rates a subgoal.
 _RATING_UNITS = 48
 
+_SHIPPED = resource("weights/recurrent_policy.safetensors")
+
 _GARAGE_DOOR = CLASS_NAMES.index("garage door")
 
 
@@ -106,7 +108,7 @@ class RecurrentNetwork(nnx.Module):
         return jnp.where(seen.present, (self.rating(rated) + self.direct(numbers))[..., 0], -1e9)
 
 
-def read_policy(path: str | Path = resource("weights/recurrent_policy.safetensors")) -> dict[str, Any]:
+def read_policy(path: str | Path = _SHIPPED) -> dict[str, Any]:
     """The weights of a `RecurrentNetwork` in a file, as float32; by default the shipped ones.
 
     Raises:
