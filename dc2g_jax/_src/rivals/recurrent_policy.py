@@ -15,6 +15,7 @@ from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose
+from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, DRIVEWAY, HOUSE, PATH
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
@@ -158,18 +159,17 @@ def _at(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point *batc
     return jnp.take_along_axis(flat, (y * width + x).reshape(*(1,) * lead, *x.shape), axis=lead)
 
 
-def surroundings(belief: Belief, moment: Moment, gain: Int[Array, "heading h w *batch"]) -> Surroundings:
+def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surroundings:
     """What the policy sees.
 
     Args:
       belief: belief of the robot.
       moment: what the planner chooses from; its estimator's state is a `Memory`.
-      gain: cells that would be revealed at every pose.
+      sensing: the robot's field of view.
     """
     height, width, batch = belief.height, belief.width, belief.pose.x.ndim
-    planes = _planes(belief, moment)
-    sums = jnp.pad(planes.astype(jnp.int32), [(0, 0), (1, 0), (1, 0), *[(0, 0)] * batch])
-    sums = jnp.cumsum(jnp.cumsum(sums, axis=1), axis=2)
+    sums = jnp.cumsum(jnp.cumsum(_planes(belief, moment), axis=1, dtype=jnp.int32), axis=2)
+    sums = jnp.pad(sums, [(0, 0), (1, 0), (1, 0), *[(0, 0)] * batch])
 
     def shares(x: Array, y: Array, radius: Int[np.ndarray, "block"]) -> Float[Array, "block plane *batch"]:
         """Shares in squares around cells."""
@@ -186,18 +186,16 @@ def surroundings(belief: Belief, moment: Moment, gain: Int[Array, "heading h w *
 
     # The nearest candidate of each block: of equal ones, the first.
     eligible = poses.unpack(moment.candidates, width) & (moment.distance >= 0)
-    size = HEADINGS * height * width
-    number = jnp.arange(size, dtype=jnp.int32).reshape(HEADINGS, height, width, *(1,) * batch)
-    none = jnp.iinfo(jnp.int32).max
-    rank = jnp.min(jnp.where(eligible, moment.distance * size + number, none), axis=0)
+    actions = jnp.where(eligible, moment.distance, jnp.iinfo(jnp.int32).max)
     block = block_of_cells(belief.pose, height, width)
     inside = block == jnp.arange(BLOCKS).reshape(-1, *(1,) * block.ndim)
-    rank = jnp.min(jnp.where(inside, rank, none), axis=(1, 2))
-    present = rank < none
-    distance, first = jnp.divmod(jnp.where(present, rank, 0), size)
-    there_y, there_x = jnp.divmod(first % (height * width), width)
-    revealed = jnp.take_along_axis(gain.reshape(size, *gain.shape[3:]), first, axis=0)
-    numbers = present, distance / 100, jnp.log1p(distance) / 5, revealed / 50
+    within = jnp.where(inside, jnp.min(actions, axis=0), jnp.iinfo(jnp.int32).max).reshape(BLOCKS, -1, *block.shape[2:])
+    there_y, there_x = jnp.divmod(jnp.argmin(within, axis=1).astype(jnp.int32), width)
+    distance, present = jnp.min(within, axis=1), jnp.any(inside & jnp.any(eligible, axis=0), axis=(1, 2))
+    gain = sensing.count_seen(frontiers.unseen(belief), belief.opaque, width)
+    heading = jnp.argmin(_at(actions, there_x, there_y), axis=0)
+    revealed = jnp.take_along_axis(_at(gain, there_x, there_y), heading[None], axis=0)[0]
+    numbers = present, distance / 100, jnp.log1p(distance) / 5, revealed.astype(jnp.int32) / 50
     around = [shares(there_x, there_y, np.full(BLOCKS, radius)) for radius in _RADII]
     subgoals = jnp.concatenate([*around, jnp.stack(numbers, axis=1).astype(jnp.float32)], axis=1)
     return Surroundings(shares(x, y, _SIDES // 2), jnp.where(present[:, None], subgoals, 0), present)
@@ -246,9 +244,8 @@ class RecurrentPolicy(ChoosingPlanner):
 
     def prepare(self, belief: Belief, moment: Moment) -> Memory:
         """Look at the surroundings before a choice."""
-        gain = self.rules.sensing.count_seen(frontiers.unseen(belief), belief.opaque, belief.width)
-        memory = self.prefer(surroundings(belief, moment, gain.astype(jnp.int32)), moment.estimator)
-        return memory._replace(pose=belief.pose)
+        seen = surroundings(belief, moment, self.rules.sensing)
+        return self.prefer(seen, moment.estimator)._replace(pose=belief.pose)
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """Minus the preference for the pose's block at the last choice."""
