@@ -76,13 +76,13 @@ class Options:
       out: new folder for the policy, the learning curve and the table; without it, nothing is written.
     """
 
-    steps: int = 4_000_000
-    maps: int = 800
+    steps: int = 2_500_000
+    maps: int = 600
     sensing_range: int = 8
     step_limit: int = 400
     robots: int = 64
-    steps_per_update: int = 192
-    passes: int = 3
+    steps_per_update: int = 128
+    passes: int = 4
     batches: int = 4
     learning_rate: float = 1e-3
     entropy_weight: float = 0.01
