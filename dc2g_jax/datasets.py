@@ -19,6 +19,7 @@ from dc2g_jax._src.readers.maps import map_from_classes as map_from_classes, rea
 from dc2g_jax._src.readers.starts import (
     PublishedEpisode as PublishedEpisode,
     Start as Start,
+    published_episodes as published_episodes,
     sample_starts as sample_starts,
     why_no_episode as why_no_episode,
 )

@@ -16,7 +16,7 @@ from dc2g_jax._src.figures.results_figures import PAGE_WIDTH
 #: Inches: largest height of a panel; the space left of the panels, between them and between their titles, above them
 #: for a title and for its second line, for the color bars and a line of the legend. And pixels per inch.
 _TALLEST = 2.2
-_LEFT, _GAP, _TITLE_GAP, _TITLE, _TITLE_LINE, _BARS, _LINE = 0.3, 0.06, 0.14, 0.17, 0.12, 0.48, 0.15
+_LEFT, _GAP, _TITLE_GAP, _TITLE, _TITLE_LINE, _BARS, _LINE = 0.3, 0.06, 0.14, 0.2, 0.12, 0.48, 0.15
 DPI = 300
 
 #: Width of an entry of the legend, inches.
@@ -57,7 +57,7 @@ class Sheet(NamedTuple):
 
     def title(self, axes: Axes, title: str, color: str = "black") -> None:
         """Set the title of a panel."""
-        axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=color)
+        axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=4, color=color)
 
     def bar(self, place: float, colors: ScalarMappable, title: str, **options: Any) -> None:
         """Add a color bar below the panels, in the left half of the page (`place` 0) or in the right half (1)."""
