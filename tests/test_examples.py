@@ -122,6 +122,16 @@ def test_ppo_refuses_bad_options_before_it_learns(ppo, tmp_path):
 
 
 @pytest.mark.slow
+def test_ppo_learns(ppo, tmp_path):
+    """In maps never seen it needs far fewer steps than untrained, after some minutes on two cores."""
+    out = tmp_path / "run"
+    ppo.main(ppo.Options(steps=200_000, maps=200, val_maps=8, out=out))
+    rows = table(out / "table.csv")
+    assert rows["PPO"][0] < 0.85 * rows["untrained"][0]
+    assert rows["PPO"][1] > 0.9
+
+
+@pytest.mark.slow
 def test_stable_baselines_saves_a_policy_that_acts_and_its_curve(tmp_path, capsys):
     stable_baselines3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is absent")
     sb3_ppo = example("sb3_ppo")
