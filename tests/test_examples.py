@@ -69,7 +69,7 @@ def test_ppo_sets_what_it_learned_beside_the_others(ppo, tmp_path, capsys):
     # The policy that was saved is not the first one.
     saved, first = (read_policy(out / "policy.safetensors"), ppo.PPO(options, None, None, None).first_weights["policy"])
     changes = jax.tree.map(lambda one, other: float(jnp.abs(one - other).max()), saved, first)
-    assert min(jax.tree.leaves(changes)) > 0
+    assert max(jax.tree.leaves(changes)) > 1e-3
 
 
 def test_ppo_learns_from_decisions_until_the_next_or_the_end(ppo):
