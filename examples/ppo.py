@@ -328,8 +328,8 @@ def learned_weights(options: Options, ppo: PPO) -> tuple[Any, Float[np.ndarray, 
             learner, counts = ppo.learn(learner)
             recent.append(np.sum(counts, axis=0))
             ended, lengths, logs, reached = np.sum(recent, axis=0)
-            known = lengths / ended, np.exp(logs / ended), reached / ended
-            curve.append(known if len(recent) == window else (np.nan,) * 3)
+            ended = ended if len(recent) == window else np.nan
+            curve.append((lengths / ended, np.exp(logs / ended), reached / ended))
             shown = dict(
                 zip(("steps", "geometric_mean", "success"), (f"{value:.3g}" for value in curve[-1]), strict=True)
             )
