@@ -36,7 +36,7 @@ def ppo():
 
 def table(path: Path) -> dict[str, tuple[float, float]]:
     with path.open(newline="") as file:
-        return {row["planner"]: (float(row["mean_steps"]), float(row["success"])) for row in csv.DictReader(file)}
+        return {row["planner"]: (float(row["steps"]), float(row["success"])) for row in csv.DictReader(file)}
 
 
 @pytest.mark.slow
