@@ -241,8 +241,8 @@ class Options(DatasetOptions, OutOptions):
 
 def main(options: Options) -> None:
     """Train, judge and run; print and write the figures."""
-    if min(options.steps, options.starts_per_house, options.drawn, *options.seeds, 1) < 0 or not options.seeds:
-        raise InputError("give --steps, --starts-per-house and --drawn above 0, and one of --seeds at least")
+    if min(options.starts_per_house, options.drawn) < 1 or not options.seeds:
+        raise InputError("give --starts-per-house and --drawn of at least 1, and one of --seeds")
     dataset = open_dataset(options.dataset)
     out = output_folder(options, "goal_location", inputs=digests(dataset))
     judge, facts = Judge(dataset), dict[str, Any]()

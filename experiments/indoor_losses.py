@@ -64,10 +64,9 @@ def _weighted(
     return sum((weight * parts[name] for name, weight in weights.items()), jnp.float32(0)), parts
 
 
-#: The paper's losses without that of directions; without that of occupancy; and that of occupancy alone.
+#: The paper's losses without that of directions; without that of occupancy.
 no_direction = functools.partial(_weighted, {"occupancy": 1.0, "cost": 1.5})
 cost_alone = functools.partial(_weighted, {"cost": 1.5, "direction": 1.0})
-occupancy_alone = functools.partial(_weighted, {"occupancy": 1.0})
 
 
 def one_cost(prediction: Prediction) -> Float[Array, "*b h w"]:
