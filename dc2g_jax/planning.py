@@ -29,3 +29,9 @@ from dc2g_jax._src.planning.rules import (
 from dc2g_jax._src.planning.selection import ExpectedCost as ExpectedCost, QuantileCost as QuantileCost
 from dc2g_jax._src.programs import jit as jit
 from dc2g_jax._src.rivals.choosing import ChoosingPlanner as ChoosingPlanner
+from dc2g_jax._src.rivals.recurrent_policy import (
+    RecurrentNetwork as RecurrentNetwork,
+    RecurrentPolicy as RecurrentPolicy,
+    Surroundings as Surroundings,
+    read_policy as read_policy,
+)

@@ -4,15 +4,18 @@ import dataclasses
 import json
 import signal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from dc2g_jax._src.cli import translation
 from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5, train_translator as train_translator_command
-from dc2g_jax._src.cli.translation import TranslationOptions, train_translator, translation_data
+from dc2g_jax._src.cli.translation import TranslationOptions, train_translators, translation_data
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.readers.houses import HouseDataset
+from dc2g_jax._src.training import step
 from dc2g_jax._src.training.loop import Log
 from tests.support import maps
 
@@ -57,7 +60,7 @@ def steps(monkeypatch):
 
 def train(out, dataset, **changes) -> None:
     options = dataclasses.replace(OPTIONS, **changes)
-    train_translator(out, dataset, translation_data(dataset, options), options.config("l1"), options, seed=0)
+    train_translators(out, {"": 0}, dataset, translation_data(dataset, options), options.config("l1"), options)
 
 
 @pytest.mark.usefixtures("interruptible")
@@ -149,3 +152,27 @@ def test_networks_that_cannot_be_built_are_refused_in_one_line():
         dataclasses.replace(OPTIONS, steps=0).config("l1")
     with pytest.raises(InputError, match="l1, gan"):
         OPTIONS.config("l3")
+
+
+def test_runs_trained_together_are_those_trained_alone(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
+    options, seeds = dataclasses.replace(OPTIONS, steps=2, validate_every=1), {"a": 3, "b": 4}
+    data = translation_data(dataset, options)
+    for run, seed in seeds.items():
+        train_translators(tmp_path / "alone", {run: seed}, dataset, data, options.config("l1+gan"), options)
+    monkeypatch.setattr(step, "platform", lambda mesh: "gpu")  # a CPU would take runs one after another
+    for steps in (1, 2):  # interrupted in between
+        own = dataclasses.replace(options, steps=steps)
+        train_translators(tmp_path / "together", seeds, dataset, data, own.config("l1+gan"), own)
+    for run in seeds:
+        alone, together = (
+            jax.tree.leaves(network_in_folder(tmp_path / where / "runs" / run / "network").weights)
+            for where in ("alone", "together")
+        )
+        # Adam moves each weight by 2e-4 a step, to either side where its gradient is zero but for rounding.
+        for one, other in zip(alone, together, strict=True):
+            np.testing.assert_allclose(other, one, atol=1e-3)
+        alone, together = (Log(tmp_path / where).by_step(run) for where in ("alone", "together"))
+        assert list(alone) == list(together) == [1, 2]
+        for number in (1, 2):
+            np.testing.assert_allclose(together[number]["train_l1"], alone[number]["train_l1"], rtol=2e-3)

@@ -28,6 +28,8 @@ def test_figures_of_a_network_do_not_change():
     assert set(found) == metrics | {"loss", "occupancy", "cost", "direction"}
     assert found == figures(weights, batches, CONFIG)
     assert 0 < found["mIoU"] < found["mF1"] < 100
+    own = figures(weights, batches, dataclasses.replace(CONFIG, loss="experiments.indoor_losses:no_direction"))
+    np.testing.assert_allclose(own["loss"], found["occupancy"] + 1.5 * found["cost"], atol=2e-4)
 
 
 @pytest.mark.parametrize("recipe", [PAPER_RECIPE, BETTER_RECIPE], ids=lambda recipe: recipe.optimizer)

@@ -1,10 +1,14 @@
 """Shared by the commands for the image-to-image translator: its training pairs and its training."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import tyro
 
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null
@@ -13,12 +17,13 @@ from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_ste
 from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.rollouts.devices import fetch, first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.image_evaluation import metrics_over_pairs
 from dc2g_jax._src.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
+from dc2g_jax._src.training.sweeps import StackedCheckpoints
 from dc2g_jax._src.training.tracking import TrackerName
 from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining, first_state, run_key
 
@@ -105,68 +110,105 @@ def require_steps(steps: int, out: Path) -> None:
         raise InputError(f"{out}: has {taken} steps behind it; give at least as many --steps, or another --out")
 
 
-def train_translator(
+def run_folder(out: Path, run: str) -> Path:
+    """The folder of a run, or of the only one, which has no name."""
+    return out / "runs" / run if run else out
+
+
+def train_translators(
     out: Path,
+    seeds: Mapping[str, int],
     dataset: HouseDataset,
     data: TranslationData,
     config: TranslatorConfig,
     options: TranslationOptions,
     *,
-    seed: int,
     track: TrackerName | None = None,
 ) -> None:
-    """Train a translator, continuing an earlier run in the same folder. Ctrl-C saves a checkpoint.
+    """Train one translator, or several together, continuing an earlier run. Ctrl-C saves a checkpoint.
 
-    Writes `network/` and `log.jsonl` to the folder, with one line per validation. The learning rate is constant, so a
-    finished run can be continued with more steps.
+    Writes `network/` to each run's folder, and `log.jsonl` to `out`, with one line per validation and run. The learning
+    rate is constant, so a finished run can be continued with more steps.
+
+    Args:
+      out: folder of all runs.
+      seeds: the seed of each run by its name, which is empty for a single run that `out` is the folder of.
+      dataset: the houses.
+      data: pairs made of them.
+      config: training configuration of all runs.
+      options: options of all runs.
+      track: tracker to send the curves to.
 
     Raises:
-      InputError: the folder holds a run with other options or more steps, or the loss is not finite.
+      InputError: a folder holds a run with other options or more steps, or the loss of a single run is not finite.
     """
-    require_steps(options.steps, out)
-    begin, mesh = partial(first_state, seed=seed), mesh_for_batch(config.batch_size)
-    pairs, key = replicate((data.train, run_key(seed)), mesh)
+    folders = [run_folder(out, run) for run in seeds]
+    for folder in folders:
+        require_steps(options.steps, folder)
+    names, together = tuple(run for run in seeds if run), len(seeds) > 1
+    mesh = mesh_for_batch(config.batch_size, len(seeds))
+    pairs = replicate(data.train, mesh)
+    keys = [run_key(seed) for seed in seeds.values()]
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
         whole_share=options.whole_share,
         augment=not options.no_augment,
     )
+    training, log = TranslatorTraining(config, draw), Log(out)
 
-    training = TranslatorTraining(config, draw)
+    def whole(each: Sequence[Any]) -> Any:
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each) if together else each[0]
 
-    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        network = TranslatorCostToGo(weights=first_copy(state.weights["generator"]), architecture=config.architecture)
-        card = {
-            "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
-            f"{100 * options.whole_share:g} % of pairs whole"
-            + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
-            "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
-            "loss": config.loss,
-            "command": command_written(),
-            "commit": commit(),
-            "seed": seed,
-            "steps": step,
-        }
-        save_network(out / "network", network, card)
-        if not options.validate_every:
-            return []
-        metrics = metrics_over_pairs(network, data.validation)
-        known = {name: number_or_null(value) for name, value in metrics.items()}
-        return [{"step": step, "train_l1": None if loss is None else float(loss), **known}]
+    def generators(state: TrainingState) -> list[Any]:
+        weights = state.weights["generator"]
+        if not together:
+            return [first_copy(weights)]
+        stacked = jax.tree.map(fetch, weights)
+        return [jax.tree.map(lambda leaf, run=run: jnp.asarray(leaf[run]), stacked) for run in range(len(seeds))]
+
+    def validate(state: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
+        lines = []
+        found = [None] * len(seeds) if losses is None else np.atleast_1d(losses).tolist()
+        for (run, seed), folder, weights, loss in zip(seeds.items(), folders, generators(state), found, strict=True):
+            network = TranslatorCostToGo(weights=weights, architecture=config.architecture)
+            card = {
+                "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
+                f"{100 * options.whole_share:g} % of pairs whole"
+                + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
+                "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
+                "loss": config.loss,
+                "command": command_written(),
+                "commit": commit(),
+                "seed": seed,
+                "steps": step,
+            }
+            save_network(folder / "network", network, card)
+            if options.validate_every:
+                metrics = metrics_over_pairs(network, data.validation)
+                known = {name: number_or_null(value) for name, value in metrics.items()}
+                name = {"run": run} if run else {}
+                lines.append(
+                    {**name, "step": step, "train_l1": None if loss is None else number_or_null(loss), **known}
+                )
+        return lines
 
     task = Task(
         steps=options.steps,
-        init=partial(begin, config),
-        step=lambda state: supervised_step(state, pairs, key, training=training, mesh=mesh),
+        init=lambda: whole([first_state(config, seed=seed) for seed in seeds.values()]),
+        step=lambda state: supervised_step(state, pairs, whole(keys), training=training, mesh=mesh),
         validate=validate,
-        validated=Log(out).by_step(),
+        validated=set.intersection(*(set(log.by_step(run or None)) for run in seeds)),
         place=partial(placed, mesh=mesh),
-        name=out.name,
+        name=", ".join(names) or out.name,
         steps_per_look=_STEPS_PER_LOOK,
+        runs=names,
         learning_rate=lambda step: config.learning_rate,
     )
-    names = ("masks", "train_masks", "whole_share", "no_augment")
-    facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
-    checkpoints = TrainingCheckpoints(out, config, facts, first_state=begin)
-    train(task, out, checkpoints, options, track)
+    options_of_data = ("masks", "train_masks", "whole_share", "no_augment")
+    facts = {"dataset": dataset.name, **{name: getattr(options, name) for name in options_of_data}}
+    each = [
+        TrainingCheckpoints(folder, config, {"seed": seed, **facts}, first_state=partial(first_state, seed=seed))
+        for folder, seed in zip(folders, seeds.values(), strict=True)
+    ]
+    train(task, out, StackedCheckpoints(each) if together else each[0], options, track)

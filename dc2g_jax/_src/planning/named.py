@@ -63,7 +63,9 @@ def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
 
 #: Planners after other papers, each in a file of its own, which is imported when the planner is asked for: without and
 #: with a network.
-RIVALS: tuple[str, ...] = ("random_frontier", "right_hand", "hysteresis", "cost_utility", "next_best_view")
+RIVALS: tuple[str, ...] = (
+    "random_frontier", "right_hand", "hysteresis", "cost_utility", "next_best_view", "recurrent_policy",
+)  # fmt: skip
 NETWORK_RIVALS: tuple[str, ...] = (
     "frontier_potential", "visible_uncertainty", "learned_subgoals", "sampled_goals",
 )  # fmt: skip

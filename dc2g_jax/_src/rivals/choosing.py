@@ -118,6 +118,11 @@ class ChoosingPlanner(AssessingPlanner):
         """Score of every pose; the lowest of a candidate wins. Values of other poses do not matter."""
         raise NotImplementedError
 
+    def prepare(self, belief: Belief, moment: Moment) -> Any:
+        """What is remembered from a choice to the next, in place of the estimator's state; called before the scores."""
+        del belief
+        return moment.estimator
+
     def init(self, world: World) -> Chosen:
         """Nothing is reachable before the first observation."""
         nothing = jnp.zeros_like(world.traversable)
@@ -132,11 +137,12 @@ class ChoosingPlanner(AssessingPlanner):
         """The poses of the lowest score."""
         belief, reachable, candidates = inputs
         moment = self._moment(belief, reachable, candidates, state)
+        moment = moment._replace(estimator=self.prepare(belief, moment))
         eligible = poses.unpack(candidates, belief.width) & (moment.distance >= 0)
         score = jnp.where(eligible, self.score(belief, moment), jnp.inf)
         lowest = jnp.min(score, axis=(0, 1, 2))
         best = eligible & (score <= lowest + _ROUNDING * (1 + jnp.abs(lowest)))
-        return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen)
+        return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen, estimator=moment.estimator)
 
     def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:
         """Head for the chosen pose, or for the goal. The scores are the current ones."""

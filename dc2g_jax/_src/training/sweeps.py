@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,8 @@ from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, i
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import TrainingState
+
+_Run = TypeVar("_Run")
 
 #: Batch size of validation pairs.
 _PAIRS_AT_A_TIME = 64
@@ -82,7 +84,7 @@ def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, Trainin
     return list(groups.values())
 
 
-def in_turns(runs: Mapping[str, TrainingConfig], at_once: int) -> list[dict[str, TrainingConfig]]:
+def in_turns(runs: Mapping[str, _Run], at_once: int) -> list[dict[str, _Run]]:
     """Split runs, in order, into groups of at most `at_once`.
 
     Raises:

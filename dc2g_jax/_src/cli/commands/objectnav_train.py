@@ -72,6 +72,7 @@ class Options(TrainingOptions, Pauses):
       encoder_steps: optimizer steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that is better after minutes of training.
       learning_rate: peak learning rate; the recipe's by default.
+      loss: the paper's equation (4), or package.module:Name for one of your own.
       inputs: inputs of the network: semantic classes, mid-level features, or both (Table II).
       patch: side length of the network's input patches, in cells.
       widths: channels of the network, from the first layer to the bottleneck.
@@ -91,6 +92,7 @@ class Options(TrainingOptions, Pauses):
     encoder_steps: int = 3000
     recipe: Literal["better", "paper"] = "better"
     learning_rate: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
+    loss: str = CostMapConfig.loss
     inputs: Literal["both", "semantic", "midlevel"] = "both"
     patch: int = CostMapArchitecture.patch
     widths: tuple[int, ...] = CostMapArchitecture.widths
@@ -120,7 +122,7 @@ class Options(TrainingOptions, Pauses):
         recipe: Recipe = RECIPES[self.recipe]
         if self.learning_rate is not None:
             recipe = dataclasses.replace(recipe, peak=self.learning_rate)
-        return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
+        return CostMapConfig(architecture, recipe, self.steps, self.batch_size, self.seed, self.loss)
 
 
 def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder:
@@ -178,6 +180,7 @@ def training_task(
             "houses": options.dataset,
             "cell_size": IndoorMapSettings.cell_size,
             "recipe": dataclasses.asdict(config.recipe),
+            "loss": config.loss,
             "command": command_written(),
             "commit": commit(),
             "validation": found,

@@ -8,12 +8,14 @@ import dataclasses
 from dc2g_jax._src.cli.common import check_seed, command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.cli.translation import Translation, TranslationOptions, train_translator, translation_data
+from dc2g_jax._src.cli.translation import Translation, TranslationOptions, train_translators, translation_data
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.image_figures import plot_training
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.rollouts.devices import mesh_of, platform
 from dc2g_jax._src.training.loop import Log
+from dc2g_jax._src.training.sweeps import in_turns
 from dc2g_jax._src.training.translator import TRANSLATOR_LOSSES
 
 
@@ -35,7 +37,7 @@ class Options(DatasetOptions, TrainingOptions):
 
 
 def main(options: Options) -> None:
-    """Train all runs in sequence, then plot them."""
+    """Train all runs, the seeds of a loss together on an accelerator, then plot them."""
     if not options.losses or not options.seeds or options.window < 1 or options.training.validate_every < 1:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
     for seed in options.seeds:
@@ -46,12 +48,14 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset, cells=None)
     output_folder(options, "reproduce_fig5", free=("minutes_per_checkpoint",), inputs=digests(dataset))
     data = translation_data(dataset, options.training)
-    runs: dict[str, list[dict[int, dict[str, float]]]] = {loss: [] for loss in options.losses}
+    # Runs together are one program. Cores of a CPU are busy with one run.
+    at_once = 1 if platform(mesh_of()) == "cpu" else len(options.seeds)
+    runs: dict[str, list[dict[int, dict[str, float]]]] = {}
     for loss, config in configs.items():
-        for seed in options.seeds:
-            folder = options.out / f"{loss}-seed{seed}"
-            train_translator(folder, dataset, data, config, options.training, seed=seed, track=options.track)
-            runs[loss].append(Log(folder).by_step())
+        seeds = {f"{loss}-seed{seed}": seed for seed in options.seeds}
+        for turn in in_turns(seeds, at_once):
+            train_translators(options.out, turn, dataset, data, config, options.training, track=options.track)
+        runs[loss] = [Log(options.out).by_step(run) for run in seeds]
     training = options.training
     caption = (
         f"{len(data.train.pair_house)} training and {len(data.validation.pair_house)} validation pairs of "
@@ -67,7 +71,7 @@ def main(options: Options) -> None:
         "runs": {loss: [list(log.values()) for log in logs] for loss, logs in runs.items()},
     }
     write_json(options.out / "results.json", facts)
-    print(f"Written to {options.out}: fig5.png, fig5.svg, fig5.pdf, results.json, a folder for each run")
+    print(f"Written to {options.out}: fig5.png, fig5.svg, fig5.pdf, results.json, runs")
 
 
 if __name__ == "__main__":

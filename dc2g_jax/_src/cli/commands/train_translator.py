@@ -13,7 +13,7 @@ from dc2g_jax._src.cli.translation import (
     Translation,
     TranslationOptions,
     require_steps,
-    train_translator,
+    train_translators,
     translation_data,
 )
 from dc2g_jax._src.readers.houses import open_dataset
@@ -48,7 +48,7 @@ def main(options: Options) -> None:
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "
         f"validating on {len(data.validation.pair_house)}"
     )
-    train_translator(options.out, dataset, data, config, options.training, seed=options.seed, track=options.track)
+    train_translators(options.out, {"": options.seed}, dataset, data, config, options.training, track=options.track)
     print(f"Trained: {options.out / 'network'}")
 
 

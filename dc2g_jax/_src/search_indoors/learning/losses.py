@@ -1,10 +1,15 @@
 """Losses and metrics of predicted cost maps (sections II-C and III-B). All but `occupancy_scores` take one map."""
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax._src.grid.shifting import shifted
+from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.search_indoors.learning.networks import Prediction
 
 #: Weights of the three losses in equation (4), as in the paper.
@@ -75,6 +80,22 @@ def total_loss(
         "direction": direction_loss(prediction.cost, cost, navigable),
     }
     return sum((weight * losses[name] for name, weight in LOSS_WEIGHTS.items()), jnp.float32(0)), losses
+
+
+#: `(prediction, occupied, cost) ->` the loss of a map, and its parts by name.
+Loss = Callable[[Prediction, Bool[Array, "h w"], Float[Array, "h w"]], tuple[Float[Array, ""], dict[str, Any]]]
+
+#: Losses by name.
+LOSSES: Mapping[str, Loss] = MappingProxyType({"paper": total_loss})
+
+
+def named_loss(name: str) -> Loss:
+    """A loss by name, one of `LOSSES` or `package.module:Name`.
+
+    Raises:
+      InputError: the name is unknown.
+    """
+    return LOSSES[name] if name in LOSSES else own_part("loss", name, LOSSES)
 
 
 #: Steps of a local policy, (rows, columns). Staying comes first, because the first of equal costs counts.

@@ -30,8 +30,8 @@ from dc2g_jax._src.search_indoors.learning.losses import (
     NINE_ACTIONS,
     action_accuracy,
     confusion,
+    named_loss,
     occupancy_scores,
-    total_loss,
 )
 from dc2g_jax._src.search_indoors.learning.midlevel import (
     BLOCK,
@@ -106,9 +106,10 @@ class CostMapConfig(Supervised):
       steps: total number of optimizer steps.
       batch_size: samples per step.
       seed: seed of weights and batches.
+      loss: a name for `named_loss`.
 
     Raises:
-      InputError: a number is out of range.
+      InputError: a number is out of range, or the loss is unknown.
     """
 
     architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
@@ -116,8 +117,10 @@ class CostMapConfig(Supervised):
     steps: int = 5000
     batch_size: int = 16
     seed: int = 0
+    loss: str = "paper"
 
     def __post_init__(self) -> None:
+        named_loss(self.loss)
         check_numbers(self.recipe.peak, steps=self.steps, batch_size=self.batch_size)
 
     @property
@@ -162,10 +165,10 @@ def first_state(config: CostMapConfig) -> TrainingState:
 def mean_loss(
     config: CostMapConfig, weights: Any, samples: Samples
 ) -> tuple[Float[Array, ""], tuple[dict[str, Array], Prediction]]:
-    """Mean of equation (4) over a batch, the mean of each of its losses, and the predictions."""
+    """Mean of the training's loss over a batch, the mean of each of its parts, and the predictions."""
     maps = jax.vmap(functools.partial(network_maps, local=LOCAL))(samples.cells)
     prediction = networks.apply(config.architecture, weights, maps, samples.target, samples.heading, samples.features)
-    loss, losses = jax.tree.map(jnp.mean, jax.vmap(total_loss)(prediction, samples.occupied, samples.cost))
+    loss, losses = jax.tree.map(jnp.mean, jax.vmap(named_loss(config.loss))(prediction, samples.occupied, samples.cost))
     return loss, (losses, prediction)
 
 

@@ -1,0 +1,262 @@
+"""A recurrent policy, learned by PPO: which part of the map around the robot to explore next."""
+
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx, struct
+from jaxtyping import Array, Bool, Float, Int
+
+from dc2g_jax._src.estimation.weights import read_safetensors, read_weights, shapes_of_weights, with_weights
+from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.grid import bitboard, poses
+from dc2g_jax._src.grid.bitboard import Board
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose
+from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, DRIVEWAY, HOUSE, PATH
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning import frontiers
+from dc2g_jax._src.planning.planners import Assessment
+from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues
+
+#: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
+#: the middle one of the next.
+_SCALES = 4
+BLOCKS = 9 * _SCALES
+_SIDES = np.repeat(3 ** np.arange(1, _SCALES + 1), 9)
+#: Cells from the robot to the middle of each block: ahead and to the right.
+_OFFSETS = _SIDES * np.tile([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)], (_SCALES, 1)).T
+
+#: Sets of cells whose shares the policy sees, see `_planes`; radii of squares around a subgoal; further numbers of one.
+_PLANES, _RADII, _NUMBERS = 9, (1, 4), 4
+
+#: Units of the layer that rates a subgoal.
+_RATING_UNITS = 48
+
+_SHIPPED = resource("weights/recurrent_policy.safetensors")
+
+_GARAGE_DOOR = CLASS_NAMES.index("garage door")
+
+
+class Surroundings(NamedTuple):
+    """What the policy sees.
+
+    Attributes:
+      shares: share of each block's cells that is in each set of `_planes`; nothing is beyond the map.
+      subgoals: about the nearest candidate of each block: the shares in squares around it, the distance (as it is and
+        as a logarithm) and the cells it would reveal.
+      present: whether the block has a candidate.
+    """
+
+    shares: Float[Array, "block plane *batch"]
+    subgoals: Float[Array, "block number *batch"]
+    present: Bool[Array, "block *batch"]
+
+    @classmethod
+    def none(cls, batch: tuple[int, ...]) -> "Surroundings":
+        """Before the first look, for a batch of robots."""
+        numbers = _PLANES, _PLANES * len(_RADII) + _NUMBERS
+        shares, subgoals = (jnp.zeros((BLOCKS, size, *batch), jnp.float32) for size in numbers)
+        return cls(shares, subgoals, jnp.zeros((BLOCKS, *batch), bool))
+
+
+class Memory(NamedTuple):
+    """What the policy remembers.
+
+    Attributes:
+      visited: cells where the robot has been.
+      hidden: state of the recurrent layer.
+      logits: preference for each block at the last choice.
+      pose: pose of the robot then.
+      notes: what a learner keeps.
+    """
+
+    visited: Board
+    hidden: Float[Array, "unit *batch"]
+    logits: Float[Array, "block *batch"]
+    pose: Pose
+    notes: Any = ()
+
+
+class RecurrentNetwork(nnx.Module):
+    """A gated recurrent unit on the surroundings; its state and each subgoal's numbers rate the subgoal."""
+
+    #: Units of the recurrent layer.
+    UNITS: ClassVar[int] = 64
+
+    def __init__(self, units: int, rngs: nnx.Rngs):
+        numbers = _PLANES * (1 + len(_RADII)) + _NUMBERS + BLOCKS
+        self.look = nnx.Linear(BLOCKS * _PLANES, units, rngs=rngs)
+        self.memory = nnx.GRUCell(units, units, rngs=rngs)
+        self.context = nnx.Linear(units, _RATING_UNITS, rngs=rngs)
+        self.subgoal = nnx.Linear(numbers, _RATING_UNITS, use_bias=False, rngs=rngs)
+        self.direct = nnx.Linear(numbers, 1, use_bias=False, kernel_init=nnx.initializers.normal(0.01), rngs=rngs)
+        self.rating = nnx.Linear(_RATING_UNITS, 1, kernel_init=nnx.initializers.normal(0.01), rngs=rngs)
+
+    def remember(self, hidden: Float[Array, "... unit"], shares: Float[Array, "... block plane"]) -> Array:
+        """The next state of the recurrent layer."""
+        seen = jax.nn.relu(self.look(shares.reshape(*shares.shape[:-2], -1)))
+        return self.memory(hidden, seen)[0]
+
+    def rate(self, hidden: Float[Array, "... unit"], seen: Surroundings) -> Float[Array, "... block"]:
+        """Logit of each block, very low for those without a candidate. Axes of the batch come first."""
+        block = jnp.broadcast_to(jnp.eye(BLOCKS), (*seen.present.shape, BLOCKS))
+        numbers = jnp.concatenate([seen.shares, seen.subgoals, block], axis=-1)
+        rated = jax.nn.relu(self.subgoal(numbers) + self.context(hidden)[..., None, :])
+        return jnp.where(seen.present, (self.rating(rated) + self.direct(numbers))[..., 0], -1e9)
+
+
+def read_policy(path: str | Path = _SHIPPED) -> dict[str, Any]:
+    """The weights of a `RecurrentNetwork` in a file, as float32; by default the shipped ones.
+
+    Raises:
+      InputError: the file cannot be read or holds no such network.
+    """
+    return read_weights(path, shapes_of_weights(RecurrentNetwork, RecurrentNetwork.UNITS), read_safetensors(path)[0])
+
+
+def _turned(pose: Pose) -> tuple[Array, Array, Array, Array]:
+    """The cell ahead and the cell to the right of a robot, relative to it: dx and dy of each."""
+    ahead, right = (jnp.asarray(FORWARD, jnp.int32)[(pose.heading + turn) % HEADINGS] for turn in (0, 1))
+    return ahead[..., 0], ahead[..., 1], right[..., 0], right[..., 1]
+
+
+def block_of_cells(pose: Pose, height: int, width: int) -> Int[Array, "h w *batch"]:
+    """The block of every cell, for a robot in this pose: a smaller one wins."""
+    batch = (1,) * pose.x.ndim
+    dx = jnp.arange(width).reshape(1, -1, *batch) - pose.x
+    dy = jnp.arange(height).reshape(-1, 1, *batch) - pose.y
+    ahead_x, ahead_y, right_x, right_y = _turned(pose)
+    ahead, right = dx * ahead_x + dy * ahead_y, dx * right_x + dy * right_y
+    far = jnp.maximum(jnp.abs(ahead), jnp.abs(right))
+    block = jnp.zeros_like(far)
+    for scale, side in enumerate(_SIDES[::9].tolist()):
+        row, column = (jnp.clip((way + side // 2) // side, -1, 1) for way in (ahead, right))
+        block = jnp.where(far > side // 2, 9 * scale + 3 * row + column + 4, block)
+    return jnp.where(far <= 1, 4, block)
+
+
+def _planes(belief: Belief, moment: Moment) -> Bool[Array, "plane h w *batch"]:
+    """Unknown; observed: obstacles, houses, driveways, paths, other ground, goals; visited; candidates."""
+    houses = belief.of_class(HOUSE) | belief.of_class(_GARAGE_DOOR)
+    driveways, paths = belief.of_class(DRIVEWAY), belief.of_class(PATH)
+    boards = (
+        frontiers.unseen(belief), belief.seen & ~belief.traversable & ~houses, houses, driveways, paths,
+        belief.traversable & ~driveways & ~paths & ~belief.goals, belief.goals, moment.estimator.visited,
+        poses.occupied(moment.candidates),
+    )  # fmt: skip
+    return jnp.stack([bitboard.unpack(board, belief.width) for board in boards])
+
+
+def _at(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point *batch"]) -> Array:
+    """Values `[... h w *batch]` at cells: `[... point *batch]`."""
+    lead = values.ndim - x.ndim - 1
+    width = values.shape[lead + 1]
+    flat = values.reshape(*values.shape[:lead], -1, *values.shape[lead + 2 :])
+    return jnp.take_along_axis(flat, (y * width + x).reshape(*(1,) * lead, *x.shape), axis=lead)
+
+
+def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surroundings:
+    """What the policy sees.
+
+    Args:
+      belief: belief of the robot.
+      moment: what the planner chooses from; its estimator's state is a `Memory`.
+      sensing: the robot's field of view.
+    """
+    height, width, batch = belief.height, belief.width, belief.pose.x.ndim
+    sums = jnp.cumsum(jnp.cumsum(_planes(belief, moment), axis=1, dtype=jnp.int32), axis=2)
+    sums = jnp.pad(sums, [(0, 0), (1, 0), (1, 0), *[(0, 0)] * batch])
+
+    def shares(x: Array, y: Array, radius: Int[np.ndarray, "block"]) -> Float[Array, "block plane *batch"]:
+        """Shares in squares around cells."""
+        radius = radius.reshape(-1, *(1,) * batch)
+        left, right = (jnp.clip(x + end, 0, width) for end in (-radius, radius + 1))
+        top, bottom = (jnp.clip(y + end, 0, height) for end in (-radius, radius + 1))
+        counts = _at(sums, right, bottom) - _at(sums, left, bottom) - _at(sums, right, top) + _at(sums, left, top)
+        return jnp.moveaxis(counts / (2 * radius + 1) ** 2, 0, 1).astype(jnp.float32)
+
+    ahead_x, ahead_y, right_x, right_y = _turned(belief.pose)
+    ahead, right = (way.reshape(-1, *(1,) * batch) for way in _OFFSETS)
+    x = belief.pose.x + ahead * ahead_x + right * right_x
+    y = belief.pose.y + ahead * ahead_y + right * right_y
+
+    # The nearest candidate of each block: of equal ones, the first.
+    eligible = poses.unpack(moment.candidates, width) & (moment.distance >= 0)
+    actions = jnp.where(eligible, moment.distance, jnp.iinfo(jnp.int32).max)
+    block = block_of_cells(belief.pose, height, width)
+    inside = block == jnp.arange(BLOCKS).reshape(-1, *(1,) * block.ndim)
+    within = jnp.where(inside, jnp.min(actions, axis=0), jnp.iinfo(jnp.int32).max).reshape(BLOCKS, -1, *block.shape[2:])
+    there_y, there_x = jnp.divmod(jnp.argmin(within, axis=1).astype(jnp.int32), width)
+    distance, present = jnp.min(within, axis=1), jnp.any(inside & jnp.any(eligible, axis=0), axis=(1, 2))
+    gain = sensing.count_seen(frontiers.unseen(belief), belief.opaque, width)
+    heading = jnp.argmin(_at(actions, there_x, there_y), axis=0)
+    revealed = jnp.take_along_axis(_at(gain, there_x, there_y), heading[None], axis=0)[0]
+    numbers = present, distance / 100, jnp.log1p(distance) / 5, revealed.astype(jnp.int32) / 50
+    around = [shares(there_x, there_y, np.full(BLOCKS, radius)) for radius in _RADII]
+    subgoals = jnp.concatenate([*around, jnp.stack(numbers, axis=1).astype(jnp.float32)], axis=1)
+    return Surroundings(shares(x, y, _SIDES // 2), jnp.where(present[:, None], subgoals, 0), present)
+
+
+@struct.dataclass
+class RecurrentPolicy(ChoosingPlanner):
+    """The block of the map around the robot that a recurrent policy prefers: the nearest pose there is the subgoal.
+
+    The policy is learned by proximal policy optimization (Schulman, Wolski, Dhariwal, Radford and Klimov 2017, arXiv
+    1707.06347) with a recurrent layer, as those of Mirowski et al., "Learning to navigate in complex environments"
+    (ICLR 2017) and Wijmans et al., "DD-PPO" (ICLR 2020). These choose motions from images, after millions to billions
+    of steps. Here, as in Niroui, Zhang, Kashino and Nejat, "Deep reinforcement learning robot for search and rescue
+    applications" (RA-L 2019) and Chaplot et al., "Learning to explore using active neural SLAM" (ICLR 2020), the policy
+    chooses where to go from the map so far, and a search finds the way. It sees an egocentric crop, coarser farther
+    away: at four scales, nine blocks and what share of each is unknown, blocked, house, driveway, path, other ground,
+    goal, visited, or worth a visit; and the same around the nearest candidate of each block, with its distance and what
+    it reveals. `examples/ppo.py` learns the weights.
+
+    Attributes:
+      weights: weights of a `RecurrentNetwork`; by default the shipped ones.
+    """
+
+    replan_fraction: float = struct.field(pytree_node=False, default=0.5)
+    weights: dict[str, Any] = struct.field(default_factory=read_policy)
+
+    def init(self, world: World) -> Chosen:
+        """Nothing is reachable, visited or remembered before the first observation."""
+        nothing, zero = jnp.zeros_like(world.goals), jnp.zeros(world.goals.shape[2:], jnp.int32)
+        hidden, logits = (jnp.zeros((size, *zero.shape), jnp.float32) for size in (RecurrentNetwork.UNITS, BLOCKS))
+        return super().init(world)._replace(estimator=Memory(nothing, hidden, logits, Pose(zero, zero, zero)))
+
+    def prefer(self, seen: Surroundings, memory: Memory) -> Memory:
+        """The memory after a look at the surroundings, with the preference for each block."""
+        network = with_weights(RecurrentNetwork, RecurrentNetwork.UNITS, self.weights)
+        count = seen.present.ndim - 1
+
+        def first(leaf: Array) -> Array:
+            """Axes of the batch come first."""
+            return jnp.moveaxis(leaf, range(-count, 0), range(count))
+
+        seen, hidden = jax.tree.map(first, (seen, memory.hidden))
+        hidden = network.remember(hidden, seen.shares)
+        logits = network.rate(hidden, seen)
+        return memory._replace(hidden=jnp.moveaxis(hidden, -1, 0), logits=jnp.moveaxis(logits, -1, 0))
+
+    def prepare(self, belief: Belief, moment: Moment) -> Memory:
+        """Look at the surroundings before a choice."""
+        seen = surroundings(belief, moment, self.rules.sensing)
+        return self.prefer(seen, moment.estimator)._replace(pose=belief.pose)
+
+    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+        """Minus the preference for the pose's block at the last choice."""
+        memory = moment.estimator
+        block = block_of_cells(memory.pose, belief.height, belief.width)
+        flat = jnp.take_along_axis(memory.logits, block.reshape(-1, *block.shape[2:]), axis=0)
+        return -jnp.broadcast_to(flat.reshape(block.shape), (HEADINGS, *block.shape))
+
+    def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:
+        """See `ChoosingPlanner.assess`; scores are those of the last choice. The robot's cell has been visited."""
+        memory = state.estimator
+        here = bitboard.single(belief.pose.x, belief.pose.y, *memory.visited.shape[:2])
+        memory = memory._replace(visited=memory.visited | here)
+        return super().assess(belief, state._replace(estimator=memory))
