@@ -13,7 +13,6 @@ different robots, which is faster than a batch axis in front.
 
 import collections
 import functools
-from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +28,11 @@ WORD_BITS = 32
 _STEPS_PER_CHECK = 4
 
 Board = UInt32[Array, "n_words h *batch"]
-Offsets = Iterable[tuple[int, int]]
+Offsets = tuple[tuple[int, int], ...]
+
+#: Programs call a function many times with arrays of one shape. It is traced for the first call, and its operations are
+#: inlined in all of them.
+_traced_once = functools.partial(jax.jit, inline=True)  # noqa: TID251, since all arguments are arrays
 
 
 def word_count(width: int) -> int:
@@ -48,6 +51,7 @@ def pack(cells: Bool[Array, "h w *batch"]) -> Board:
     return jnp.swapaxes(jnp.sum(bits << place, axis=2, dtype=jnp.uint32), 0, 1)
 
 
+@functools.partial(_traced_once, static_argnames="width")
 def unpack(board: Board, width: int) -> Bool[Array, "h w *batch"]:
     """Unpack a board into a boolean grid of `width` columns."""
 
@@ -181,6 +185,7 @@ def flood(seed: Board, free: Board) -> Board:
     return jax.lax.platform_dependent(seed & free, free, cpu=together, default=each)
 
 
+@functools.partial(_traced_once, static_argnames="offsets")
 def cells_that_see(targets: Board, offsets: Offsets) -> Board:
     """Cells `p` for which `p + offset` is in `targets` for at least one of the constant `offsets` `(dx, dy)`.
 
