@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -103,7 +103,7 @@ def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.nda
 
 def plot_training(
     path: str | Path,
-    runs: Mapping[str, Sequence[Mapping[int, Mapping[str, float]]]],
+    runs: Mapping[str, Sequence[Mapping[int, Mapping[str, Any]]]],
     caption: str,
     *,
     window: int,

@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+from typing import Any
 
 from dc2g_jax._src.cli.common import check_seed, command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
@@ -50,7 +51,7 @@ def main(options: Options) -> None:
     data = translation_data(dataset, options.training)
     # Runs together are one program. Cores of a CPU are busy with one run.
     at_once = 1 if platform(mesh_of()) == "cpu" else len(options.seeds)
-    runs: dict[str, list[dict[int, dict[str, float]]]] = {}
+    runs: dict[str, list[dict[int, dict[str, Any]]]] = {}
     for loss, config in configs.items():
         seeds = {f"{loss}-seed{seed}": seed for seed in options.seeds}
         for turn in in_turns(seeds, at_once):
