@@ -1,7 +1,7 @@
 """Shared by the commands for the image-to-image translator: its training pairs and its training."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -17,14 +17,14 @@ from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_ste
 from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.rollouts.devices import fetch, first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.image_evaluation import metrics_over_pairs
 from dc2g_jax._src.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
-from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
-from dc2g_jax._src.training.sweeps import StackedCheckpoints
-from dc2g_jax._src.training.tracking import TrackerName
+from dc2g_jax._src.training.step import TrainingState, placed, stacked, supervised_step
+from dc2g_jax._src.training.sweeps import StackedCheckpoints, fetched_runs
+from dc2g_jax._src.training.tracking import TrackerName, run_folder
 from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining, first_state, run_key
 
 #: Steps between progress updates. A step takes seconds on a CPU.
@@ -110,11 +110,6 @@ def require_steps(steps: int, out: Path) -> None:
         raise InputError(f"{out}: has {taken} steps behind it; give at least as many --steps, or another --out")
 
 
-def run_folder(out: Path, run: str) -> Path:
-    """The folder of a run, or of the only one, which has no name."""
-    return out / "runs" / run if run else out
-
-
 def train_translators(
     out: Path,
     seeds: Mapping[str, int],
@@ -147,8 +142,6 @@ def train_translators(
         require_steps(options.steps, folder)
     names, together = tuple(run for run in seeds if run), len(seeds) > 1
     mesh = mesh_for_batch(config.batch_size, len(seeds))
-    pairs = replicate(data.train, mesh)
-    keys = [run_key(seed) for seed in seeds.values()]
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
@@ -157,15 +150,16 @@ def train_translators(
     )
     training, log = TranslatorTraining(config, draw), Log(out)
 
-    def whole(each: Sequence[Any]) -> Any:
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each) if together else each[0]
+    def whole(each: list[Any]) -> Any:
+        return stacked(each) if together else each[0]
+
+    pairs, keys = replicate((data.train, whole([run_key(seed) for seed in seeds.values()])), mesh)
 
     def generators(state: TrainingState) -> list[Any]:
         weights = state.weights["generator"]
         if not together:
             return [first_copy(weights)]
-        stacked = jax.tree.map(fetch, weights)
-        return [jax.tree.map(lambda leaf, run=run: jnp.asarray(leaf[run]), stacked) for run in range(len(seeds))]
+        return jax.tree.map(jnp.asarray, fetched_runs(weights))
 
     def validate(state: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
         lines = []
@@ -196,7 +190,7 @@ def train_translators(
     task = Task(
         steps=options.steps,
         init=lambda: whole([first_state(config, seed=seed) for seed in seeds.values()]),
-        step=lambda state: supervised_step(state, pairs, whole(keys), training=training, mesh=mesh),
+        step=lambda state: supervised_step(state, pairs, keys, training=training, mesh=mesh),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run or None)) for run in seeds)),
         place=partial(placed, mesh=mesh),

@@ -119,7 +119,8 @@ def _unstacked(runs: Any) -> list[Any]:
 
 
 @jit
-def _stacked(runs: list[Any]) -> Any:
+def stacked(runs: list[Any]) -> Any:
+    """Trees of several runs as one, with the runs on the first axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *runs)
 
 
@@ -151,7 +152,7 @@ def supervised_step(
         # Its cores are busy with one run, and convolutions over a stack of weights are slower.
         step = functools.partial(supervised_step, data=data, training=training, mesh=mesh)
         runs = replicate(_unstacked((state, hyperparameters)), mesh)
-        return _stacked([step(one, hyperparameters=numbers) for one, numbers in runs])
+        return stacked([step(one, hyperparameters=numbers) for one, numbers in runs])
     batch = draw_batches(state, data, hyperparameters, training=training, mesh=mesh)
     settle(batch)
     new = learn(state, batch, hyperparameters, training=training)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -19,7 +20,7 @@ from dc2g_jax._src.rollouts.devices import fetch
 from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, init_state, mean_error
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import Pair
-from dc2g_jax._src.training.step import TrainingState
+from dc2g_jax._src.training.step import TrainingState, stacked
 
 _Run = TypeVar("_Run")
 
@@ -99,12 +100,18 @@ def in_turns(runs: Mapping[str, _Run], at_once: int) -> list[dict[str, _Run]]:
 
 def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
     """The stacked hyperparameters of all runs of a group."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.hyperparameters for config in configs))
+    return stacked([config.hyperparameters for config in configs])
 
 
 def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The stacked states of several runs before the first step; see `init_state`."""
     return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
+
+
+def fetched_runs(states: Any) -> list[Any]:
+    """The tree of each of several stacked runs, as NumPy arrays."""
+    whole = jax.tree.map(fetch, states)
+    return [jax.tree.map(operator.itemgetter(run), whole) for run in range(len(jax.tree.leaves(whole)[0]))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,14 +131,12 @@ class StackedCheckpoints:
             for checkpoints in self.of_runs:
                 checkpoints.delete()
             return None
-        states = [checkpoints.restore(max(common)) for checkpoints in self.of_runs]
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+        return stacked([checkpoints.restore(max(common)) for checkpoints in self.of_runs])
 
     def save(self, states: TrainingState) -> None:
         """Save the state of each run."""
-        whole = jax.tree.map(fetch, states)
-        for run, checkpoints in enumerate(self.of_runs):
-            checkpoints.save(jax.tree.map(lambda leaf, run=run: leaf[run], whole))
+        for checkpoints, state in zip(self.of_runs, fetched_runs(states), strict=True):
+            checkpoints.save(state)
 
     def close(self) -> None:
         """Release the folders."""

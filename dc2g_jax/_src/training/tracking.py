@@ -126,6 +126,11 @@ def check_tracker(name: TrackerName | None) -> None:
         require_extra("tensorboardX" if name == "tensorboard" else name, extra=name)
 
 
+def run_folder(out: Path, run: str) -> Path:
+    """The folder of one of the runs of a training, or of the only one, which has no name."""
+    return out / "runs" / run if run else out
+
+
 class Curve:
     """The curves of a training, or of several runs trained together: `curve.csv`, and a tracker of each run.
 
@@ -157,7 +162,7 @@ class Curve:
     @staticmethod
     def _config(out: Path, run: str) -> dict[str, Any]:
         """The configuration of a run, as saved with its checkpoints."""
-        path = (out / "runs" / run if run else out) / "config.json"
+        path = run_folder(out, run) / "config.json"
         return read_object(path, "give another folder") if path.exists() else {}
 
     def add(self, step: int, figures: Sequence[Mapping[str, Any]], group: str = "") -> None:

@@ -41,7 +41,7 @@ from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
-from dc2g_jax._src.training.tracking import Image
+from dc2g_jax._src.training.tracking import Image, run_folder
 from dc2g_jax._src.training.training_sets import open_training_set
 from dc2g_jax._src.viewer.training_recording import prediction_picture
 
@@ -118,8 +118,7 @@ def train_group(
     rates = np.stack([learning_rates(config) for config in configs], axis=1)
 
     def networks_of(states: TrainingState) -> list[NetworkCostToGo]:
-        stacked = jax.tree.map(fetch, states.trained)
-        each = (jax.tree.map(lambda leaf, run=run: leaf[run], stacked) for run in range(len(runs)))
+        each = sweeps.fetched_runs(states.trained)
         return [NetworkCostToGo(weights=weights, architecture=recipe.architecture) for weights in each]
 
     def pictures(states: TrainingState) -> list[Image]:
@@ -165,7 +164,7 @@ def train_group(
 
 def network_folder(out: Path, run: str) -> Path:
     """The folder of a run's network."""
-    return out / "runs" / run / "network"
+    return run_folder(out, run) / "network"
 
 
 def kind_of(options: Options, config: TrainingConfig) -> str:
