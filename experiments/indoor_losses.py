@@ -5,7 +5,6 @@ Networks come from `dc2g objectnav train --loss experiments.indoor_losses:NAME`,
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +35,7 @@ from dc2g_jax._src.search_indoors.learning.data import (
 )
 from dc2g_jax._src.search_indoors.learning.losses import (
     FIVE_ACTIONS,
+    LOSS_WEIGHTS,
     NINE_ACTIONS,
     action_accuracy,
     confusion,
@@ -56,17 +56,17 @@ BLOCKED, HIGHEST = 3.0, 2.0
 _BATCH, _RESAMPLES = 16, 10_000
 
 
-def _weighted(
-    weights: Mapping[str, float], prediction: Prediction, occupied: Bool[Array, "h w"], cost: Float[Array, "h w"]
+def _some(
+    names: tuple[str, ...], prediction: Prediction, occupied: Bool[Array, "h w"], cost: Float[Array, "h w"]
 ) -> tuple[Float[Array, ""], dict[str, Any]]:
     """Some of the paper's losses with their weights. The network learns nothing of the others."""
     _, parts = total_loss(prediction, occupied, cost)
-    return sum((weight * parts[name] for name, weight in weights.items()), jnp.float32(0)), parts
+    return sum((LOSS_WEIGHTS[name] * parts[name] for name in names), jnp.float32(0)), parts
 
 
 #: The paper's losses without that of directions; without that of occupancy.
-no_direction = functools.partial(_weighted, {"occupancy": 1.0, "cost": 1.5})
-cost_alone = functools.partial(_weighted, {"cost": 1.5, "direction": 1.0})
+no_direction = functools.partial(_some, ("occupancy", "cost"))
+cost_alone = functools.partial(_some, ("cost", "direction"))
 
 
 def one_cost(prediction: Prediction) -> Float[Array, "*b h w"]:
@@ -84,7 +84,7 @@ def one_map(
         "cost": cost_loss(ours, label, navigable | occupied),
         "direction": direction_loss(ours, cost, navigable),
     }
-    return 1.5 * losses["cost"] + losses["direction"], losses
+    return sum((LOSS_WEIGHTS[name] * loss for name, loss in losses.items()), jnp.float32(0)), losses
 
 
 def bends(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> tuple[Float[Array, ""], Float[Array, ""]]:

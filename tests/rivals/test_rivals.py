@@ -288,7 +288,7 @@ def test_regions_are_the_pieces_of_the_frontier_in_the_order_of_their_costs():
         open_cells = open_cells & np.asarray(bitboard.unpack(jnp.bitwise_or.reduce(candidates, axis=0), belief.width))
         pieces, count = ndimage.label(open_cells | oracle._neighbor_of(open_cells))
         best = sorted(min(cost[open_cells & (pieces == piece)]) for piece in range(1, count + 1))[:MOST_REGIONS]
-        found = np.asarray(regions.at(jnp.asarray(cost), belief.width))[np.asarray(regions.present)]
+        found = np.asarray(regions.at(jnp.asarray(cost)))[np.asarray(regions.present)]
         assert found.tolist() == best
         places = [(int(x), int(y)) for x, y in zip(regions.x, regions.y, strict=True)][: len(best)]
         for one, (x, y) in enumerate(places):

@@ -73,6 +73,14 @@ def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
     return jnp.where(poses.is_empty(preferred), revealing, preferred)
 
 
+def at_cells(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point *batch"]) -> Array:
+    """Values `[... h w *batch]` at cells: `[... point *batch]`."""
+    lead = values.ndim - x.ndim - 1
+    width = values.shape[lead + 1]
+    flat = values.reshape(*values.shape[:lead], -1, *values.shape[lead + 2 :])
+    return jnp.take_along_axis(flat, (y * width + x).reshape(*(1,) * lead, *x.shape), axis=lead)
+
+
 def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w *batch"]:
     """Number of cells of the set in the square of `2 radius + 1` cells around each cell."""
     counts = cells.astype(jnp.int32)

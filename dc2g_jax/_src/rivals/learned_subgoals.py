@@ -90,8 +90,8 @@ class LearnedSubgoals(ChoosingPlanner):
         costs = expected_costs(
             regions.start,
             regions.between,
-            chances(regions.at(outcomes, belief.width), regions.present),
-            regions.at(mean, belief.width),
+            chances(regions.at(outcomes), regions.present),
+            regions.at(mean),
             jnp.full_like(regions.start, self.failure * self.rules.sensing.radius),
             regions.present,
         )

@@ -20,7 +20,7 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, DRIVEWAY, HOUSE, PATH
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import Assessment
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues
+from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues, at_cells
 
 #: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
 #: the middle one of the next.
@@ -151,14 +151,6 @@ def _planes(belief: Belief, moment: Moment) -> Bool[Array, "plane h w *batch"]:
     return jnp.stack([bitboard.unpack(board, belief.width) for board in boards])
 
 
-def _at(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point *batch"]) -> Array:
-    """Values `[... h w *batch]` at cells: `[... point *batch]`."""
-    lead = values.ndim - x.ndim - 1
-    width = values.shape[lead + 1]
-    flat = values.reshape(*values.shape[:lead], -1, *values.shape[lead + 2 :])
-    return jnp.take_along_axis(flat, (y * width + x).reshape(*(1,) * lead, *x.shape), axis=lead)
-
-
 def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surroundings:
     """What the policy sees.
 
@@ -176,7 +168,12 @@ def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surrounding
         radius = radius.reshape(-1, *(1,) * batch)
         left, right = (jnp.clip(x + end, 0, width) for end in (-radius, radius + 1))
         top, bottom = (jnp.clip(y + end, 0, height) for end in (-radius, radius + 1))
-        counts = _at(sums, right, bottom) - _at(sums, left, bottom) - _at(sums, right, top) + _at(sums, left, top)
+        counts = (
+            at_cells(sums, right, bottom)
+            - at_cells(sums, left, bottom)
+            - at_cells(sums, right, top)
+            + at_cells(sums, left, top)
+        )
         return jnp.moveaxis(counts / (2 * radius + 1) ** 2, 0, 1).astype(jnp.float32)
 
     ahead_x, ahead_y, right_x, right_y = _turned(belief.pose)
@@ -193,8 +190,8 @@ def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surrounding
     there_y, there_x = jnp.divmod(jnp.argmin(within, axis=1).astype(jnp.int32), width)
     distance, present = jnp.min(within, axis=1), jnp.any(inside & jnp.any(eligible, axis=0), axis=(1, 2))
     gain = sensing.count_seen(frontiers.unseen(belief), belief.opaque, width)
-    heading = jnp.argmin(_at(actions, there_x, there_y), axis=0)
-    revealed = jnp.take_along_axis(_at(gain, there_x, there_y), heading[None], axis=0)[0]
+    heading = jnp.argmin(at_cells(actions, there_x, there_y), axis=0)
+    revealed = jnp.take_along_axis(at_cells(gain, there_x, there_y), heading[None], axis=0)[0]
     numbers = present, distance / 100, jnp.log1p(distance) / 5, revealed.astype(jnp.int32) / 50
     around = [shares(there_x, there_y, np.full(BLOCKS, radius)) for radius in _RADII]
     subgoals = jnp.concatenate([*around, jnp.stack(numbers, axis=1).astype(jnp.float32)], axis=1)

@@ -9,7 +9,7 @@ from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.rivals.choosing import Moment, PoseValues
+from dc2g_jax._src.rivals.choosing import Moment, PoseValues, at_cells
 
 #: Pieces of the frontier that are looked at, at most. Plans are made over all orders of them.
 MOST_REGIONS = 5
@@ -32,13 +32,9 @@ class Regions(NamedTuple):
     start: Float[Array, "region *batch"]
     between: Float[Array, "region region *batch"]
 
-    def at(self, values: Array, width: int) -> Array:
+    def at(self, values: Array) -> Array:
         """The values `[... h w *batch]` at the best cells, `[... region *batch]`."""
-        batch = self.x.ndim - 1
-        lead = values.ndim - batch - 2
-        flat = values.reshape(*values.shape[:lead], -1, *values.shape[lead + 2 :])
-        index = (self.y * width + self.x).reshape(*(1 for _ in range(lead)), *self.x.shape)
-        return jnp.take_along_axis(flat, index, axis=lead)
+        return at_cells(values, self.x, self.y)
 
     def score(self, values: Float[Array, "region *batch"], belief: Belief) -> PoseValues:
         """Scores of all poses: the value of the region on its best cell, infinity elsewhere."""
@@ -80,7 +76,5 @@ def find_regions(belief: Belief, moment: Moment, cost: Float[Array, "h w *batch"
     ground = jnp.broadcast_to(moment.reachable[..., None], (*moment.reachable.shape, MOST_REGIONS))
     ways = search.distances(Pose(last[0], last[1], jnp.zeros_like(last[0])), ground, belief.width)
     ways = jnp.min(jnp.where(ways >= 0, ways, moment.distance.size), axis=0)
-    between = jnp.stack([regions.at(ways[..., number], belief.width) for number in range(MOST_REGIONS)])
-    return regions._replace(
-        start=regions.at(actions, belief.width).astype(jnp.float32), between=between.astype(jnp.float32)
-    )
+    between = jnp.stack([regions.at(ways[..., number]) for number in range(MOST_REGIONS)])
+    return regions._replace(start=regions.at(actions).astype(jnp.float32), between=between.astype(jnp.float32))
