@@ -157,9 +157,9 @@ steps relative to frontier exploration (`frontier`): 0.50 is half the steps. An 
 counts as its step limit. In parentheses: the number of maps of a family. In italics: planners that know the map. In
 bold: the best of the others in a family. The second column is the mean over families. {settings}
 
-Nothing of the package was chosen on the split `test`. Networks learned in published training
-houses and procedural ones of other seeds, `recurrent_policy` in procedural houses, mazes, halls and offices of other
-seeds. [What each planner does](reference/rivals.md).
+Nothing of the package was chosen on the split `test`. Networks learned in published training houses and procedural
+ones of other seeds, `recurrent_policy` in procedural houses, mazes, halls and offices of other seeds. [What each
+planner does](reference/rivals.md).
 
 {table}
 
