@@ -1,7 +1,7 @@
 """Write the figures of README, BENCHMARKS and docs from one file: `python -m experiments.results`.
 
 `docs/results.json` holds what commands wrote, without what no page shows, by a name for each run. `results.txt` holds
-the passages of pages that show it, with fields for the figures. A test fails where a page shows another figure.
+the rows and sentences of pages that show them, with fields. A test fails where a page shows another figure.
 """
 
 import dataclasses
@@ -17,19 +17,16 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.reading import read_object
+from dc2g_jax._src.rollouts.statistics import Mean
 from dc2g_jax._src.search_indoors.search.evaluation import with_interval
 
-from .benchmarks.report import short_number
+from .benchmarks.report import in_short
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.json"
 #: What commands write and no page shows.
-_LEFT_OUT = set(
-    "about added_memory checksum dataset facts first_seconds houses houses_where_frontier_is_shorter note oracle "
-    "peak_memory peaks planner quick resamples seconds seed sensing_range source split unit".split()
-)
-#: A figure as `_shown` makes it, on one line or two.
-_FIGURE = r"((?:[-+\d.,()|\s]|to|M|million)+?)"
+_LEFT_OUT = {"about", "checksum", "facts", "first_seconds", "note", "oracle", "peak_memory", "peaks", "seconds", "unit"}
+_NUMBER = r"[+-]?\d(?:[\d.,-]*\d)?(?: M\b| million)?"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +52,8 @@ def _short(value: Any) -> Any:
 def run_in(folder: Path) -> dict[str, Any]:
     """What an output folder says of its last run: command, date, commit, versions and figures."""
     run = read_object(folder / RUN_FILE, "give the output folder of a command")["runs"][-1]
-    facts = {"command": re.sub(r" --out \S+", "", run["command"]), "date": run["began"][:10], "commit": run["commit"]}
+    command = re.sub(r"(?<= )/\S+", "FOLDER", re.sub(r" --(out \S+|resume)\b", "", run["command"]))
+    facts = {"command": command, "date": run["began"][:10], "commit": run["commit"]}
     for path in sorted(set(folder.glob("*.json")) - {folder / RUN_FILE}):
         facts |= _short(json.loads(path.read_text()))
     return facts | {"versions": run["versions"]}
@@ -71,6 +69,11 @@ def _names(results: Mapping[str, Any]) -> dict[str, Any]:
         several = [run for name, run in results.items() if name == "fig7" or name.startswith(f"fig7, {runs}")]
         return [run[settings]["dc2g"][group]["mean_extra"] for run in several]
 
+    def waits(planner: str, cells: int) -> list[str]:
+        repeats = [row for row in results[f"latency, {planner}"]["rows"] if row["cells"] == cells]
+        columns = ([row[column] for row in repeats] for column in ("p50", "p99", "worst", "first"))
+        return [f"{min(times):#.2g} to {max(times):#.2g}" for times in columns]
+
     def gain(agents: Mapping[str, Any], name: str) -> dict[str, Any]:
         one, least, most = agents[name], agents["random"], agents["true_cost"]
         more = {key: one[key] - least[key] for key in ("success", "spl", "distance", "steps")}
@@ -78,89 +81,80 @@ def _names(results: Mapping[str, Any]) -> dict[str, Any]:
         path = [a / b - 1 for key in ("acceleration", "jerk") for a, b in zip(one[key], least[key], strict=True)]
         return more | {"nearer": -more["distance"], "share": share, "path": path}
 
-    intervals, theirs = results["table1"]["agents"], results["table1"]["paper"]
-    ours = {name: one | {key: one[key][0] for key in ("success", "spl")} for name, one in intervals.items()}
+    agents, paper = results["table1"]["agents"], results["table1"]["paper"]
+    ours = {name: one | {key: one[key][0] for key in ("success", "spl")} for name, one in agents.items()}
     ahead = results["head-to-head"]["groups"]["all"]
     return {
         **results,
-        "published": results["fig7"]["published"],
-        "paper": results["fig7"]["paper"],
+        **{settings: results["fig7"][settings] for settings in ("published", "paper")},
         "starts": means("starts", "paper", "test"),
         "trainings": [means("training", "published", "all"), means("training", "paper", "test")],
         "ahead": ahead,
         "alone": results["head-to-head, dc2g_paper"]["groups"]["all"],
         "less": [-ahead["difference"], *(-bound for bound in reversed(ahead["difference_interval"]))],
-        "searches": {"ours": ours, "paper": theirs, "intervals": intervals},
-        "gain": {"paper": gain(theirs, "predicted"), "down": gain(ours, "predicted"), "best": gain(ours, "promising")},
+        "searches": {"ours": ours, "paper": paper, "intervals": agents},
+        "gain": {"paper": gain(paper, "predicted"), "down": gain(ours, "predicted"), "best": gain(ours, "promising")},
         "speed": rows("planners", "what", "by", "cores"),
         "sides": rows("grid", "what", "by", "cells"),
         "robots": rows("H200", "what", "batch"),
         "runs": rows("training", "what") | rows("H200", "what"),
+        "waits": {f"{name} {cells}": waits(name, cells) for name in ("dc2g", "frontier") for cells in (50, 100)},
     }
 
 
-def _waits(run: Mapping[str, Any], cells: int) -> list[str]:
-    """Median, 99 %, worst and first wait of a latency run in maps of a size: the lowest and highest of its repeats."""
-    repeats = [row for row in run["rows"] if row["cells"] == cells]
-    columns = ([row[column] for row in repeats] for column in ("p50", "p99", "worst", "first"))
-    return [f"{min(times):#.2g} to {max(times):#.2g}" for times in columns]
-
-
-def _searches(one: Mapping[str, Any], mean: Callable[[Any], str]) -> str:
-    pairs = (", ".join(f"{number:.2f}" for number in one[key]) for key in ("acceleration", "jerk"))
-    return " | ".join([*map(mean, (one["success"], one["spl"])), f"{one['distance']:.2f}", f"{one['steps']:.1f}", *pairs])
+def _search(one: Mapping[str, Any], mean: Callable[[Any], str]) -> str:
+    means = f"{mean(one['success'])} | {mean(one['spl'])} | {one['distance']:.2f} | {one['steps']:.1f}"
+    return " | ".join([means, *(f"{one[key][0]:.2f}, {one[key][1]:.2f}" for key in ("acceleration", "jerk"))])
 
 
 #: How fields show figures, beside Python's own forms.
 _FORMS: dict[str, Callable[[Any], str]] = {
+    "cells": " | ".join,
+    "change": lambda mean: with_interval(Mean(*mean), "+"),
+    "deviation": lambda numbers: f"{statistics.stdev(numbers):.1f}",
     "extra": lambda one: f"{one['mean_extra']:.1f} ({one['median_extra']:.1f})",
     "extras": lambda groups: " | ".join(map(_FORMS["extra"], groups.values())),
     "interval": lambda one: f"{one['mean_low']:.1f} to {one['mean_high']:.1f}",
-    "percent": lambda share: f"{100 * share:.0f}",
-    "door": lambda one: f"{100 * one['success']:.2f}",
     "mean": lambda numbers: f"{statistics.mean(numbers):.1f}",
-    "deviation": lambda numbers: f"{statistics.stdev(numbers):.1f}",
-    "rate": lambda row: f"{short_number(row['rate'])} ({short_number(row['worst_rate'])})",
-    "short": lambda row: short_number(row["rate"]),
-    "million": lambda row: short_number(row["rate"]).replace(" M", " million"),
-    "wait": lambda run: _waits(run, 50)[0],
-    "waits_50": lambda run: " | ".join(_waits(run, 50)),
-    "waits_100": lambda run: " | ".join(_waits(run, 100)),
-    "search": lambda one: _searches(one, "{:.3f}".format),
-    "searches": lambda one: f"{_searches(one, with_interval)} | {one['collisions']:.1f}",
-    "change": lambda mean: with_interval(mean, "+"),
+    "million": lambda row: in_short(row["rate"]).replace(" M", " million"),
+    "percent": lambda share: f"{100 * share:.0f} %",
+    "rate": lambda row: f"{in_short(row['rate'])} ({in_short(row['worst_rate'])})",
+    "search": lambda one: _search(one, "{:.3f}".format),
+    "searches": lambda one: f"{_search(one, lambda mean: with_interval(Mean(*mean)))} | {one['collisions']:.1f}",
+    "short": lambda row: in_short(row["rate"]),
+    "success": lambda one: f"{100 * one['success']:.2f} %",
 }
+
+
+def templates() -> dict[str, list[str]]:
+    """By page, its rows and sentences with fields for the figures."""
+    pages = Path(__file__).with_suffix(".txt").read_text().split("@ ")[1:]
+    return {page: lines for page, *lines in map(str.splitlines, pages)}
 
 
 def with_figures(text: str, page: str, results: Mapping[str, Any]) -> str:
     """The text of a page with the figures of the results.
 
     Raises:
-      InputError: the page does not have each of its passages once.
+      InputError: the page does not have each of its rows and sentences once.
     """
-    formatter, names = string.Formatter(), _names(results)
-    for passage in passages()[page]:
+    names, formatter = _names(results), string.Formatter()
+    for template in templates()[page]:
         pattern, figures = "", []
-        for words, field, form, _ in formatter.parse(passage):
-            pattern += re.escape(words).replace(r"\ ", r"\s+")
+        for words, field, form, _ in formatter.parse(template):
+            pattern += re.escape(words)
             if field is not None:
                 value = formatter.get_field(field, (), names)[0]
                 figures.append(_FORMS[form](value) if form in _FORMS else format(value, form or ""))
-                pattern += _FIGURE
-        pattern += r"\n" if "|---|" in passage else r"(?!\w)"
-        found = list(re.finditer(pattern, text))
+                pattern += f"({_NUMBER.join(map(re.escape, re.split(_NUMBER, figures[-1])))})"
+        # Sentences may be wrapped; a row may begin like one with more figures.
+        found = list(re.finditer(pattern.replace(r"\ ", r"\s+") + r"(?!(?<=\|) [-+\d])", text))
         if len(found) != 1:
-            raise InputError(f"{page}: has {len(found)} passages like the one in results.txt, not one: {passage}")
+            raise InputError(f"{page}: {len(found)} places, not one, are like this line of results.txt: {template}")
         for group, figure in reversed([*enumerate(figures, start=1)]):
-            if found[0][group].split() != figure.split():  # otherwise it may be on two lines
+            if found[0][group].split() != figure.split():
                 text = text[: found[0].start(group)] + figure + text[found[0].end(group) :]
     return text
-
-
-def passages() -> dict[str, list[str]]:
-    """By page, its passages with fields for the figures."""
-    pages = Path(__file__).with_suffix(".txt").read_text().split("@ ")[1:]
-    return {page: list(of_page) for page, *of_page in (text.strip().split("\n\n") for text in pages)}
 
 
 def write(results: Mapping[str, Any]) -> None:
@@ -176,8 +170,9 @@ def main(options: Options) -> None:
         name, folder = options.take
         if name not in results:
             raise InputError(f"--take {name}: {RESULTS.name} has {', '.join(results)}; write a new name into it first")
-        write(results | {name: run_in(folder)})
-    for page in passages():
+        results[name] = run_in(folder)
+        write(results)
+    for page in templates():
         path = ROOT / page
         path.write_text(with_figures(path.read_text(), page, results))
 
