@@ -66,11 +66,11 @@ def _names(results: Mapping[str, Any]) -> dict[str, Any]:
         return {" ".join(str(row.get(column)) for column in columns): row for row in results[run]["rows"]}
 
     def means(runs: str, settings: str, group: str) -> list[float]:
-        several = [run for name, run in results.items() if name == "fig7" or name.startswith(f"fig7, {runs}")]
+        several = [run for name, run in results.items() if name == "fig7" or name.startswith(f"fig7 {runs}")]
         return [run[settings]["dc2g"][group]["mean_extra"] for run in several]
 
     def waits(planner: str, cells: int) -> list[str]:
-        repeats = [row for row in results[f"latency, {planner}"]["rows"] if row["cells"] == cells]
+        repeats = [row for row in results[f"latency {planner}"]["rows"] if row["cells"] == cells]
         columns = ([row[column] for row in repeats] for column in ("p50", "p99", "worst", "first"))
         return [f"{min(times):#.2g} to {max(times):#.2g}" for times in columns]
 
@@ -90,7 +90,7 @@ def _names(results: Mapping[str, Any]) -> dict[str, Any]:
         "starts": means("starts", "paper", "test"),
         "trainings": [means("training", "published", "all"), means("training", "paper", "test")],
         "ahead": ahead,
-        "alone": results["head-to-head, dc2g_paper"]["groups"]["all"],
+        "alone": results["head-to-head dc2g_paper"]["groups"]["all"],
         "less": [-ahead["difference"], *(-bound for bound in reversed(ahead["difference_interval"]))],
         "searches": {"ours": ours, "paper": paper, "intervals": agents},
         "gain": {"paper": gain(paper, "predicted"), "down": gain(ours, "predicted"), "best": gain(ours, "promising")},
@@ -144,7 +144,10 @@ def with_figures(text: str, page: str, results: Mapping[str, Any]) -> str:
         for words, field, form, _ in formatter.parse(template):
             pattern += re.escape(words)
             if field is not None:
-                value = formatter.get_field(field, (), names)[0]
+                try:
+                    value = formatter.get_field(field, (), names)[0]
+                except KeyError as error:
+                    raise InputError(f"{page}: there is no {error} for {field}, which results.txt asks for") from None
                 figures.append(_FORMS[form](value) if form in _FORMS else format(value, form or ""))
                 pattern += f"({_NUMBER.join(map(re.escape, re.split(_NUMBER, figures[-1])))})"
         # Sentences may be wrapped; a row may begin like one with more figures.
@@ -171,10 +174,10 @@ def main(options: Options) -> None:
         if name not in results:
             raise InputError(f"--take {name}: {RESULTS.name} has {', '.join(results)}; write a new name into it first")
         results[name] = run_in(folder)
-        write(results)
-    for page in templates():
-        path = ROOT / page
-        path.write_text(with_figures(path.read_text(), page, results))
+    pages = {page: with_figures((ROOT / page).read_text(), page, results) for page in templates()}
+    write(results)
+    for page, text in pages.items():
+        (ROOT / page).write_text(text)
 
 
 if __name__ == "__main__":
