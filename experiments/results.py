@@ -144,10 +144,7 @@ def with_figures(text: str, page: str, results: Mapping[str, Any]) -> str:
         for words, field, form, _ in formatter.parse(template):
             pattern += re.escape(words)
             if field is not None:
-                try:
-                    value = formatter.get_field(field, (), names)[0]
-                except KeyError as error:
-                    raise InputError(f"{page}: there is no {error} for {field}, which results.txt asks for") from None
+                value = formatter.get_field(field, (), names)[0]
                 figures.append(_FORMS[form](value) if form in _FORMS else format(value, form or ""))
                 pattern += f"({_NUMBER.join(map(re.escape, re.split(_NUMBER, figures[-1])))})"
         # Sentences may be wrapped; a row may begin like one with more figures.
@@ -174,7 +171,10 @@ def main(options: Options) -> None:
         if name not in results:
             raise InputError(f"--take {name}: {RESULTS.name} has {', '.join(results)}; write a new name into it first")
         results[name] = run_in(folder)
-    pages = {page: with_figures((ROOT / page).read_text(), page, results) for page in templates()}
+    try:
+        pages = {page: with_figures((ROOT / page).read_text(), page, results) for page in templates()}
+    except KeyError as error:
+        raise InputError(f"{RESULTS.name}: pages show {error}, which a run there lacks; take another run") from None
     write(results)
     for page, text in pages.items():
         (ROOT / page).write_text(text)

@@ -18,7 +18,7 @@ import tyro
 from dc2g_jax._src.cli.commands import COMMANDS
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.rollouts import devices
-from experiments.results import RESULTS, run_in, templates, with_figures
+from experiments.results import RESULTS, Options, main, run_in, templates, with_figures
 from tests.support.places import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -206,3 +206,7 @@ def test_a_run_says_where_its_figures_come_from(tmp_path):
     )
     facts = {"command": "dc2g fig7 --dataset FOLDER", "date": "2026-01-02", "commit": "c", "versions": {"jax": "0"}}
     assert run_in(tmp_path) == facts | {"paper": {"frontier": [0.333333, None]}}
+    before = RESULTS.read_text()
+    with pytest.raises(InputError, match="pages show 'published', which a run there lacks"):
+        main(Options(take=("fig7", tmp_path)))
+    assert RESULTS.read_text() == before
