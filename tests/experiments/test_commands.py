@@ -69,6 +69,7 @@ def figure(few_houses, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_reproduce_fig7_on_a_folder_of_houses(few_houses, figure):
     out = figure
     facts = json.loads((out / "results.json").read_text())
@@ -107,6 +108,7 @@ def test_reproduce_fig7_records_episodes(few_houses, tmp_path):
         assert len(list((tmp_path / "out" / "recordings").glob(f"*.{ending}"))) == 1
 
 
+@pytest.mark.slow
 def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
     starts = tmp_path / "starts.csv"
     with (figure / "episodes.csv").open() as file:
@@ -146,6 +148,7 @@ def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_pat
     assert (row["range"], row["actions"]) == ("3", alone.actions)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     starts, out = tmp_path / "starts.csv", tmp_path / "out"
     house = load_dataset(few_houses).split("test")[0]

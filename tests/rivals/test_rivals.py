@@ -191,7 +191,10 @@ def check_episodes(planner, episode, first_seed):
         assert (action_letters(done, index), MODE_NAMES[done.mode[index]]) == expected, index
 
 
-@pytest.mark.parametrize("name", CHOOSING)
+@pytest.mark.parametrize(
+    "name",
+    [name if name in ("random", "uncertainty") else pytest.param(name, marks=pytest.mark.slow) for name in CHOOSING],
+)
 def test_episodes_of_rivals_that_choose(name):
     planner, score = CHOOSING[name]
     enough = planner.replan_fraction * FIELD_OF_VIEW

@@ -127,7 +127,7 @@ def test_more_runs_than_fit_take_turns():
         in_turns(runs, 0)
 
 
-@pytest.fixture(params=["cpu", "gpu"])
+@pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def on(request, monkeypatch):
     """Steps as a CPU takes them, and as an accelerator does."""
     for module in (step, devices):
