@@ -304,9 +304,7 @@ EXPLORERS = {
         ("curious", RULES["complete"], seen_without_occlusion),
         ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
         ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
-        pytest.param(
-            "curious", complete_rules(SENSING, line_of_sight), seen_past_obstacles, marks=pytest.mark.slow
-        ),
+        pytest.param("curious", complete_rules(SENSING, line_of_sight), seen_past_obstacles, marks=pytest.mark.slow),
     ],
 )
 def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner, rules, visible):
