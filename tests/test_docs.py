@@ -44,9 +44,11 @@ def examples(page: Path) -> list[tuple[str | None, str, str | None]]:
     return [(found[1], found[2], found[3]) for found in _EXAMPLE.finditer(page.read_text())]
 
 
-#: Pages with examples; those of the tutorials take long.
+#: Pages with examples; those of the README and the tutorials take long.
 WITH_EXAMPLES = [
-    pytest.param(page, id=page_id(page), marks=[pytest.mark.slow] if page.parent.name == "tutorials" else [])
+    pytest.param(
+        page, id=page_id(page), marks=[pytest.mark.slow] if page.parent in (ROOT, ROOT / "docs/tutorials") else []
+    )
     for page in PAGES
     if examples(page)
 ]

@@ -273,6 +273,7 @@ command_line(Options, main)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
+@pytest.mark.slow
 def test_a_full_disk_and_a_closed_pipe_are_one_line_that_says_how_to_go_on(tmp_path):
     command = [sys.executable, "-c", WRITES, "--out", str(tmp_path / "out")]
     full = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

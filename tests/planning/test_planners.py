@@ -300,7 +300,7 @@ EXPLORERS = {
     [
         ("frontier", RULES["complete"], seen_without_occlusion),
         ("dc2g", RULES["complete"], seen_without_occlusion),
-        ("impatient", RULES["complete"], seen_without_occlusion),
+        pytest.param("impatient", RULES["complete"], seen_without_occlusion, marks=pytest.mark.slow),
         ("curious", RULES["complete"], seen_without_occlusion),
         ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
         ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
