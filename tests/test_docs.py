@@ -46,9 +46,7 @@ def examples(page: Path) -> list[tuple[str | None, str, str | None]]:
 
 #: Pages with examples; those of the README and the tutorials take long.
 WITH_EXAMPLES = [
-    pytest.param(
-        page, id=page_id(page), marks=[pytest.mark.slow] if page.parent in (ROOT, ROOT / "docs/tutorials") else []
-    )
+    pytest.param(page, id=page_id(page), marks=[] if page.parent.name == "how_it_works" else [pytest.mark.slow])
     for page in PAGES
     if examples(page)
 ]
