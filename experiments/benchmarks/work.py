@@ -128,6 +128,8 @@ class _Counter:
             return self.call(params["branches"][int(index)], operands)
         if name in _CALLS and isinstance(params.get(_CALLS[name]), ClosedJaxpr):
             return self.call(params[_CALLS[name]], inputs)
+        if name == "scan" and _branches(params["jaxpr"].jaxpr):
+            return self._scan(params, inputs)
         if any(_branches(inner) for inner in jaxprs_in_params(params)):
             raise NotImplementedError(f"cannot count inside {name}")
         straight = jax.make_jaxpr(lambda *values: equation.primitive.bind(*values, **params))(*inputs)
@@ -145,6 +147,16 @@ class _Counter:
             carry = self.call(params["body_jaxpr"], [*body_consts, *carry])
             self.work = self.work.plus(a_turn)
         return carry
+
+    def _scan(self, params: dict[str, Any], inputs: list[Any]) -> list[Any]:
+        n_consts, n_carry, turns = params["num_consts"], params["num_carry"], range(params["length"])
+        consts, carry, rows = inputs[:n_consts], inputs[n_consts : n_consts + n_carry], inputs[n_consts + n_carry :]
+        made = {}
+        for turn in reversed(turns) if params["reverse"] else turns:
+            outputs = self.call(params["jaxpr"], [*consts, *carry, *(row[turn] for row in rows)])
+            carry, made[turn] = outputs[:n_carry], outputs[n_carry:]
+            self.work = self.work.plus(Work(0, 0, 1))
+        return [*carry, *(np.stack(values) for values in zip(*(made[turn] for turn in turns), strict=True))]
 
 
 def count_work(function: Callable[..., Any], *arguments: Any) -> Work:

@@ -105,7 +105,7 @@ def test_reproduce_fig7_records_episodes(few_houses, tmp_path):
     result = run("reproduce_fig7", "--dataset", few_houses, *options, "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr
     for ending in ("rrd", "png"):
-        assert len(list((tmp_path / "out" / "recordings").glob(f"*.{ending}"))) == 1
+        assert len(list((tmp_path / "out" / "recordings").glob(f"*.{ending}"))) == 2
 
 
 @pytest.mark.slow
@@ -449,4 +449,4 @@ def test_help_names_every_option(command, monkeypatch, capsys):
         assert re.search(rf"^\s+{option.name}: \S", words, re.MULTILINE), option.name
     shown = capsys.readouterr().out
     assert f"python -m experiments.{command} " in shown
-    assert ("--out" in shown) == (command != "demo")
+    assert ("--out" in shown) == (command not in ("demo", "results"))

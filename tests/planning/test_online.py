@@ -303,7 +303,7 @@ def test_an_estimator_with_an_extent_is_asked_about_it_alone():
 # --- the grid the map is laid into, and where the map lies ------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["frontier", pytest.param("dc2g", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["frontier", "dc2g"])
 def test_decisions_do_not_depend_on_the_grid(name):
     fitting, larger = planner_of(name), planner_of(name, LARGER)
     for seed in range(25):

@@ -61,7 +61,6 @@ def samples(world) -> JourneySet:
     return jax.tree.map(jnp.asarray, made)
 
 
-@pytest.mark.slow
 def test_robots_know_what_the_map_of_a_searching_robot_shows(samples, world):
     """The house seen from the places of a journey, frame by frame, on a map as large as a search's."""
     settings, camera, house = mapping.IndoorMapSettings(), indoor_camera(), scene(world)

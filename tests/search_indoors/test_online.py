@@ -90,7 +90,7 @@ def compiled():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("name", ["frontier", pytest.param("promising", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", AGENTS)
 def test_recorded_frames_lead_to_the_decisions_of_the_simulated_search(name, compiled):
     moments, end = recording(name)
     assert 30 < len(moments) < LIMIT
