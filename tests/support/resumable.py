@@ -31,8 +31,8 @@ from dc2g_jax._src.cli.commands import (
     train_translator,
 )
 from dc2g_jax._src.cli.driving import DriveResult
-from dc2g_jax._src.estimation.checkpoints import network_in_folder
-from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
+from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
@@ -42,7 +42,7 @@ from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
 from dc2g_jax._src.training import sweeps, train as training, training_sets
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
@@ -304,8 +304,8 @@ def objectnav_train_(
 
 def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(0))
-    write_network(folder / "given.safetensors", weights, SMALL_ENCODER, {})
-    return objectnav_train_(dataset, folder, patch, folder / "given.safetensors")
+    write_network(folder / "given", weights, SMALL_ENCODER, ENCODER)
+    return objectnav_train_(dataset, folder, patch, folder / "given")
 
 
 #: `(houses, folder for inputs, patch) -> command`, by the name of its module.

@@ -9,7 +9,6 @@ global map around the same center, averaged over 3x3 cells. Each has 16 semantic
 """
 
 import dataclasses
-import hashlib
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,19 +20,19 @@ from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import Kind, read_network
 from dc2g_jax._src.estimation.compact_unet import Down, Residual, Up, patches, unpatched
 from dc2g_jax._src.estimation.hub import local_folder
-from dc2g_jax._src.estimation.weights import read_network, with_weights, write_network
-from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning.midlevel import TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import MAP_CHANNELS, IndoorMapSettings
 
-#: The files of a trained network and of the encoder that it was trained with, in one folder.
-NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
+#: Within the folder of a network, that of the encoder that it was trained with.
+ENCODER_FOLDER = "encoder"
 
-#: The shipped network and its encoder.
+#: The shipped network.
 _SHIPPED = "weights/cost_maps_indoors"
 
 #: Distance that corresponds to a cost of 1, meters, of networks trained on costs with a fixed scale.
@@ -258,12 +257,11 @@ class CostMapEstimator:
         return jnp.where(jnp.isinf(cost), cost, COST_UNIT * (cost - jnp.min(cost)))
 
 
-def save_costs(folder: Path, weights: Any, architecture: CostMapArchitecture, card: dict[str, Any]) -> None:
-    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files."""
-    facts = {"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **card}
-    write_network(folder / NETWORK_FILE, weights, architecture, facts)
-    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
-    write_json(folder / "network.json", {**card, "sha256": digests})
+#: Networks as they are saved.
+COST_MAPS = Kind(
+    "cost_maps", CostMapArchitecture, lambda architecture: CostMapNetwork, OBJECT_CLASSES, "dc2g objectnav train",
+    np.float16,
+)  # fmt: skip
 
 
 def load_costs(place: str | Path | None = None) -> CostMapEstimator:
@@ -277,27 +275,16 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
       InputError: a file is missing or invalid, or the two do not match.
     """
     folder = resource(_SHIPPED) if place is None else local_folder(place)
-    for name in (NETWORK_FILE, ENCODER_FILE):
-        if not (folder / name).is_file():
-            raise InputError(f"{folder}: has no {name}; give a folder that `dc2g objectnav train` has written")
-    path, encoder = folder / NETWORK_FILE, load_encoder(folder / ENCODER_FILE)
-    weights, architecture, card = read_network(path, CostMapNetwork, _read_architecture)
-    if card.get("classes") != list(OBJECT_CLASSES):
-        raise InputError(f"{path}: the network was trained on another list of classes; train it anew")
+    _, weights, architecture, card = read_network(folder, [COST_MAPS])
+    encoder = load_encoder(folder / ENCODER_FOLDER)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
         raise InputError(
-            f"{path}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
+            f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
             f"{IndoorMapSettings.cell_size:g} m; train one anew"
         )
     if (size := encoder.architecture.features) != architecture.features:
         raise InputError(
-            f"{folder}: {ENCODER_FILE} makes {size} features, {NETWORK_FILE} takes {architecture.features}; take both "
-            "from one folder"
+            f"{folder}: the encoder makes {size} features, the network takes {architecture.features}; take both from "
+            "one folder"
         )
     return CostMapEstimator(weights=weights, encoder=encoder, architecture=architecture)
-
-
-def _read_architecture(facts: dict[str, Any]) -> CostMapArchitecture:
-    """The architecture from JSON, which has lists instead of tuples."""
-    inputs = Inputs(*(bool(given) for given in facts["inputs"]))
-    return CostMapArchitecture(**{**facts, "widths": tuple(facts["widths"]), "inputs": inputs})

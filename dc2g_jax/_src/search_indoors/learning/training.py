@@ -274,7 +274,7 @@ class EncoderTraining(Supervised):
 
 
 def encoder_task(
-    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], None]
+    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], object]
 ) -> Task[TrainingState]:
     """The task of training the default encoder. The result is reproducible by seed to the bit.
 
