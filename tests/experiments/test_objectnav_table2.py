@@ -14,7 +14,6 @@ from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
 from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
-    ABLATIONS,
     COST_MAPS,
     ENCODER_FOLDER,
     CostMapArchitecture,
@@ -25,7 +24,7 @@ from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
 KEY = jax.random.key(0)
-SMALL = CostMapArchitecture(widths=(4, 4), embedding=4, features=7, feature_width=3, inputs=ABLATIONS["both"])
+SMALL = CostMapArchitecture(widths=(4, 4), embedding=4, features=7, feature_width=3)
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def folders(tmp_path):
         folder = tmp_path / name
         small = EncoderArchitecture((4, 5, 6), features=7)
         write_network(folder / ENCODER_FOLDER, fresh_weights(SmallEncoder, small, KEY), small, ENCODER)
-        architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
+        architecture = dataclasses.replace(SMALL, inputs=name)
         write_network(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, COST_MAPS)
         made.append(folder)
     return tuple(made)

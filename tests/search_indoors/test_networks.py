@@ -16,7 +16,6 @@ from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning import networks
 from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
-    ABLATIONS,
     BINS,
     COST_MAPS,
     ENCODER_FOLDER,
@@ -24,7 +23,6 @@ from dc2g_jax._src.search_indoors.learning.networks import (
     CostMapNetwork,
     Prediction,
     bin_regions,
-    fused_cost,
     heading_bin,
     load_costs,
     oriented_features,
@@ -88,8 +86,8 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     maps[:, semantic] = 1 - maps[:, semantic]
     other_features = {"features": -question[3], "heading": question[2] + 2}
     for inputs, unseen, seen in (
-        (ABLATIONS["semantic"], other_features, {"maps": maps}),
-        (ABLATIONS["midlevel"], {"maps": maps}, other_features),
+        ("semantic", other_features, {"maps": maps}),
+        ("midlevel", {"maps": maps}, other_features),
     ):
         answer = answers(inputs, weights, question)
         np.testing.assert_array_equal(answers(inputs, weights, question, **unseen), answer)
@@ -98,8 +96,8 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     maps = question[0].copy()
     maps[:, ~semantic] = 1 - maps[:, ~semantic]
     assert not np.allclose(
-        answers(ABLATIONS["midlevel"], weights, question, maps=maps),
-        answers(ABLATIONS["midlevel"], weights, question),
+        answers("midlevel", weights, question, maps=maps),
+        answers("midlevel", weights, question),
     )
 
 
@@ -122,8 +120,7 @@ def test_features_lie_where_the_robot_looks():
 
 def test_occupied_cells_lie_over_the_cost():
     prediction = Prediction(jnp.asarray([[-1.0, 1.0]]), jnp.asarray([[0.3, 0.4]]))
-    occupancy, cost = prediction.occupancy, prediction.cost
-    np.testing.assert_array_equal(fused_cost(occupancy, cost), np.float32([[0.3, np.inf]]))
+    np.testing.assert_array_equal(prediction.fused_cost, np.float32([[0.3, np.inf]]))
 
 
 def test_the_default_is_small():
@@ -133,9 +130,11 @@ def test_the_default_is_small():
     assert sum(sizes) <= 2_000_000
 
 
-@pytest.mark.parametrize("change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}])
-def test_numbers_without_sense_are_refused(change):
-    with pytest.raises(ValueError, match="give at least"):
+@pytest.mark.parametrize(
+    "change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}, {"inputs": "all"}]
+)
+def test_architectures_without_sense_are_refused(change):
+    with pytest.raises(ValueError, match=r"give at least|use one of"):
         dataclasses.replace(SMALL, **change)
 
 
@@ -172,7 +171,7 @@ def test_estimated_costs_are_meters_beyond_the_best_cell_where_nothing_is_in_the
 
 
 def test_the_shipped_network_is_small():
-    assert load_costs().architecture.inputs == ABLATIONS["both"]
+    assert load_costs().architecture.inputs == "both"
     assert sum(path.stat().st_size for path in resource("weights/cost_maps_indoors").rglob("*")) <= 8e6
 
 

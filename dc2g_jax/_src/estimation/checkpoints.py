@@ -71,11 +71,8 @@ _KINDS: dict[type[TrainedNetwork], Kind] = {
 def _like(default: Any, value: Any) -> Any:
     """A value of a JSON document with the type of a default. JSON has lists instead of tuples."""
     if isinstance(default, tuple):
-        values = [_like(default[0], one) for one in value]
-        return type(default)(*values) if hasattr(default, "_fields") else tuple(values)
-    if isinstance(default, int | float) and not isinstance(default, bool):
-        return whole_number(value) if isinstance(default, int) else number(value)
-    return value
+        return tuple(_like(default[0], one) for one in value)
+    return whole_number(value) if isinstance(default, int) else number(value) if isinstance(default, float) else value
 
 
 def _orbax() -> Any:

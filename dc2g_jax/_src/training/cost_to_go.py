@@ -138,15 +138,10 @@ def _optimizer(recipe: TrainingConfig, peak: Float[Array, ""] | float) -> optax.
     return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 
-def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
-    """The state before the first step."""
-    weights = compact_unet.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
-    return state_of(weights, _optimizer(recipe, 1.0), recipe.average_decay)
-
-
 def first_state(config: TrainingConfig) -> TrainingState:
     """The state of a run before its first step."""
-    return init_state(config.recipe, config.hyperparameters)
+    weights = compact_unet.init_weights(config.architecture, jax.random.key(jnp.uint32(config.seed)))
+    return state_of(weights, _optimizer(config.recipe, 1.0), config.average_decay)
 
 
 def mean_loss(

@@ -17,7 +17,7 @@ from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import fetch
-from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, init_state, mean_error
+from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, mean_error
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import TrainingState, stacked
@@ -101,11 +101,6 @@ def in_turns(runs: Mapping[str, _Run], at_once: int) -> list[dict[str, _Run]]:
 def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
     """The stacked hyperparameters of all runs of a group."""
     return stacked([config.hyperparameters for config in configs])
-
-
-def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
-    """The stacked states of several runs before the first step; see `init_state`."""
-    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
 
 
 def fetched_runs(states: Any) -> list[Any]:

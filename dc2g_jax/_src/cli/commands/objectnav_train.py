@@ -25,11 +25,11 @@ from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, c
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
 from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.learning.networks import (
-    ABLATIONS,
     COST_MAPS,
     ENCODER_FOLDER,
     INPUT_CHANNELS,
     CostMapArchitecture,
+    Inputs,
 )
 from dc2g_jax._src.search_indoors.learning.training import (
     RECIPES,
@@ -89,7 +89,7 @@ class Options(TrainingOptions, Pauses):
     recipe: Literal["better", "paper"] = "better"
     learning_rate: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     loss: str = CostMapConfig.loss
-    inputs: Literal["both", "semantic", "midlevel"] = "both"
+    inputs: Inputs = CostMapArchitecture.inputs
     patch: int = CostMapArchitecture.patch
     widths: tuple[int, ...] = CostMapArchitecture.widths
     steps: int = CostMapConfig.steps
@@ -107,7 +107,7 @@ class Options(TrainingOptions, Pauses):
         """
         try:
             architecture = CostMapArchitecture(
-                patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
+                patch=self.patch, widths=self.widths, features=features, inputs=self.inputs
             )
         except InputError as error:
             raise InputError(f"--{error}") from None

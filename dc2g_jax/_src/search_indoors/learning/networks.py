@@ -11,7 +11,7 @@ global map around the same center, averaged over 3x3 cells. Each has 16 semantic
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -49,20 +49,9 @@ BINS = 8
 _REGIONS = ((1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
 
 
-class Inputs(NamedTuple):
-    """Inputs of a network besides obstacles and explored cells, which it always gets (section IV-C).
-
-    Attributes:
-      semantics: whether it gets the channels of semantic classes.
-      features: whether it gets the mid-level features.
-    """
-
-    semantics: bool = True
-    features: bool = True
-
-
-#: Ablations by name (Table II).
-ABLATIONS = {"both": Inputs(), "semantic": Inputs(features=False), "midlevel": Inputs(semantics=False)}
+#: Inputs of a network besides obstacles and explored cells, which it always gets: the channels of semantic classes, the
+#: mid-level features, or both (section IV-C, Table II).
+Inputs = Literal["both", "semantic", "midlevel"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +64,7 @@ class CostMapArchitecture:
       embedding: length of the embedding of a target.
       features: length of the vector of mid-level features.
       feature_width: channels of the mid-level features at the bottleneck.
-      inputs: inputs of the network.
+      inputs: one of `Inputs`.
 
     Raises:
       InputError: a number is out of range.
@@ -86,7 +75,7 @@ class CostMapArchitecture:
     embedding: int = 64
     features: int = 64
     feature_width: int = 64
-    inputs: Inputs = ABLATIONS["both"]
+    inputs: Inputs = "both"
 
     def __post_init__(self) -> None:
         if len(self.widths) < 2 or min(self.widths) < 1:
@@ -94,6 +83,8 @@ class CostMapArchitecture:
         for name in ("patch", "embedding", "features", "feature_width"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name.replace('_', ' ')} {getattr(self, name)}: give at least 1")
+        if self.inputs not in get_args(Inputs):
+            raise InputError(f"inputs {self.inputs!r}: use one of: {', '.join(get_args(Inputs))}")
 
 
 @struct.dataclass
@@ -113,15 +104,10 @@ class Prediction:
         """Probability that a cell is not free floor."""
         return jax.nn.sigmoid(self.occupancy_logits)
 
-
-def fused_cost(occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"]) -> Float[Array, "*b h w"]:
-    """The final cost map: the navigation cost, infinite in cells that are more likely occupied than free.
-
-    Args:
-      occupancy: probability that a cell is not free floor; the paper's threshold theta_occ is 0.5 here.
-      cost: navigation cost.
-    """
-    return jnp.where(occupancy > 0.5, jnp.inf, cost)
+    @property
+    def fused_cost(self) -> Float[Array, "*b h w"]:
+        """The final cost map: infinite in cells that are more likely occupied than free (theta_occ is 0.5)."""
+        return jnp.where(self.occupancy > 0.5, jnp.inf, self.cost)
 
 
 def heading_bin(heading: Float[Array, "*b"]) -> Int[Array, "*b"]:
@@ -200,7 +186,7 @@ class CostMapNetwork(nnx.Module):
           features: mid-level features of the camera image; ignored by a network without this input.
         """
         inputs = self.architecture.inputs
-        if not inputs.semantics:
+        if inputs == "midlevel":
             semantic = np.arange(INPUT_CHANNELS) % MAP_CHANNELS < SEMANTIC_CLASSES
             maps = maps * jnp.asarray(~semantic, maps.dtype)[:, None, None]
         at = self.first(self.embed(patches(jnp.moveaxis(maps, 1, -1), self.architecture.patch)))
@@ -211,7 +197,8 @@ class CostMapNetwork(nnx.Module):
         batch, height, width, _ = at.shape
         goal = jnp.broadcast_to(self.target(target)[:, None, None], (batch, height, width, self.architecture.embedding))
         view = oriented_features(nnx.relu(self.view(features.astype(jnp.float32))), heading, height, width)
-        bottleneck = jnp.concatenate([nnx.relu(at), goal, view if inputs.features else jnp.zeros_like(view)], axis=-1)
+        view = jnp.zeros_like(view) if inputs == "semantic" else view
+        bottleneck = jnp.concatenate([nnx.relu(at), goal, view], axis=-1)
         local = jnp.einsum("bchw,c->bhw", maps[:, :MAP_CHANNELS], self.cell[...])
         return Prediction(
             occupancy_logits=self.occupancy(bottleneck, skipped) + local,
@@ -253,7 +240,7 @@ class CostMapEstimator:
         """
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading))
         prediction = apply(self.architecture, self.weights, *one, self.encoder.encode(image[None]))
-        cost = fused_cost(prediction.occupancy[0], prediction.cost[0])
+        cost = prediction.fused_cost[0]
         return jnp.where(jnp.isinf(cost), cost, COST_UNIT * (cost - jnp.min(cost)))
 
 
