@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
-from flax.traverse_util import flatten_dict, unflatten_dict
+from jax.tree_util import keystr, tree_leaves_with_path
 from jaxtyping import Array
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
@@ -19,7 +19,7 @@ from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.reading import check_file
 
 #: Most bytes of a file of weights.
-_LARGEST_NETWORK = 2**31
+_LARGEST = 2**36
 
 _Network = TypeVar("_Network", bound=nnx.Module)
 
@@ -63,17 +63,15 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
     return nnx.merge(graph, state)
 
 
-def _by_name(tree: dict[str, Any]) -> dict[str, Any]:
-    """Weights by their names in files: their keys, and their numbers in lists of layers, with dots between."""
-    return {".".join(map(str, path)): leaf for path, leaf in flatten_dict(tree).items()}
+def _by_name(tree: Any) -> dict[str, Any]:
+    """Arrays of a tree by their names in files: keys, attributes and numbers in lists, with dots between."""
+    return {keystr(path, simple=True, separator="."): leaf for path, leaf in tree_leaves_with_path(tree)}
 
 
-def write_safetensors(path: str | Path, tensors: dict[str, Any]) -> None:
-    """Write arrays to a file, always as the same bytes. An existing file is replaced atomically.
+def write_safetensors(path: str | Path, tensors: Any) -> None:
+    """Write the arrays of a tree, such as `fresh_weights`, to a file, always as the same bytes.
 
-    Args:
-      path: the file.
-      tensors: name -> array. Nested dictionaries, such as `fresh_weights`, get names with dots.
+    An existing file is replaced atomically. Arrays get the names of their keys or attributes, with dots between.
     """
     with replacing(path) as unfinished:
         unfinished.write_bytes(save({name: np.asarray(leaf, order="C") for name, leaf in _by_name(tensors).items()}))
@@ -85,7 +83,7 @@ def read_safetensors(path: str | Path) -> dict[str, np.ndarray]:
     Raises:
       InputError: the file cannot be read or has another format; the message gives the reason.
     """
-    check_file(Path(path), "give a file in the safetensors format", at_most=_LARGEST_NETWORK)
+    check_file(Path(path), "give a file in the safetensors format", at_most=_LARGEST)
     try:
         with safe_open(path, framework="np") as file:
             names = file.keys()
@@ -96,12 +94,12 @@ def read_safetensors(path: str | Path) -> dict[str, np.ndarray]:
         ) from None
 
 
-def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """Read the weights of a known network from a file, as float32.
+def read_tree(path: str | Path, shapes: Any) -> Any:
+    """Read a tree of arrays from a file, such as the weights of a known network.
 
     Args:
       path: the file.
-      shapes: nested dictionary of values with the shapes of the network's weights.
+      shapes: tree of values with the shapes of the arrays.
 
     Raises:
       InputError: the file cannot be read, or an array is missing, unexpected or of another shape.
@@ -115,5 +113,9 @@ def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
                 f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
             )
-    arrays = (jnp.asarray(tensors[name], jnp.float32) for name in wanted)
-    return unflatten_dict(dict(zip(flatten_dict(shapes), arrays, strict=True)))
+    return jax.tree.unflatten(jax.tree.structure(shapes), [tensors[name] for name in wanted])
+
+
+def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
+    """The same as float32 arrays of JAX."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), read_tree(path, shapes))

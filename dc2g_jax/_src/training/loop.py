@@ -118,10 +118,6 @@ class Checkpoints(Protocol):
         """Save a state."""
         ...
 
-    def close(self) -> None:
-        """Release the folder."""
-        ...
-
 
 class Log:
     """`log.jsonl`: one line per validation. A validation repeated after an interruption counts once.
@@ -244,7 +240,7 @@ def train(
     Args:
       task: the training task.
       out: folder of the log and the curves.
-      checkpoints: storage of the states; closed at the end.
+      checkpoints: storage of the states.
       pauses: when to validate and to save.
       track: tracker to send the curves to.
 
@@ -285,7 +281,7 @@ def train(
         if noted:
             raise KeyboardInterrupt
 
-    with contextlib.closing(checkpoints), contextlib.closing(Curve(out, task.runs, track)) as curve:
+    with contextlib.closing(Curve(out, task.runs, track)) as curve:
         state: Any = checkpoints.restore()
         state = task.place(task.init() if state is None else state)
         step = int(np.max(fetch(state.step)))
