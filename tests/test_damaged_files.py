@@ -28,7 +28,7 @@ from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network, write_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.estimation.weights import fresh_weights
+from dc2g_jax._src.estimation.weights import fresh_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
@@ -170,12 +170,13 @@ def read_episodes(folder: Path) -> None:
 
 
 def write_masks(folder: Path) -> None:
-    np.savez(folder / "masks.npz", boards=np.ones((3, 1, 8), np.uint32), world=np.array([0, 1, 1]))
+    masks = {"boards": np.ones((3, 1, 8), np.uint32), "world": np.array([0, 1, 1])}
+    write_safetensors(folder / "masks.safetensors", masks)
 
 
 def read_masks(folder: Path) -> None:
-    arrays = kept_arrays(folder / "masks.npz", Masks._fields, lambda show: {}, unit="rollout")
-    check_masks(Masks(**arrays), DATASET.houses[:2], "masks.npz")
+    arrays = kept_arrays(folder / "masks.safetensors", Masks._fields, lambda show: {}, unit="rollout")
+    check_masks(Masks(**arrays), DATASET.houses[:2], "masks.safetensors")
 
 
 def write_indoor_houses(folder: Path) -> None:
@@ -233,7 +234,7 @@ READERS = (
     Reader(("log.jsonl",), write_log, lambda folder: Log(folder).by_step(None, ("error",))),
     Reader(("curve.csv",), write_curve, lambda folder: Curve(folder, ("a", "b"))),
     Reader(("episodes.csv",), write_episodes, read_episodes),
-    Reader(("masks.npz",), write_masks, read_masks),
+    Reader(("masks.safetensors",), write_masks, read_masks),
     Reader(("train.jsonl", "train.jsonl.gz", "asset_boxes.json"), write_indoor_houses, read_indoor_houses),
     Reader(EXTRACTS, write_extracts, read_extracts, slow=True),
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """Arrays in a file of the safetensors format."""
 
+import contextlib
 import json
 import struct
 
@@ -10,6 +11,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 from jax.sharding import PartitionSpec as P
 
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet, multiply_accumulates
 from dc2g_jax._src.estimation.weights import read_safetensors, shapes_of_weights, write_safetensors
 from tests.support.refusals import refusal
@@ -45,6 +47,21 @@ def test_what_is_written_twice_has_the_same_bytes(tmp_path):
     for number in range(10):
         write_safetensors(tmp_path / str(number), {name: np.arange(3.0) for name in "zxy"})
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+
+
+def test_what_is_written_cannot_change_without_notice(tmp_path):
+    path = tmp_path / "a.safetensors"
+    arrays = {"boards": np.arange(6, dtype=np.uint32).reshape(2, 3), "world": np.array([0, 1])}
+    write_safetensors(path, arrays)
+    whole = path.read_bytes()
+    for position in range(len(whole)):
+        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x10]) + whole[position + 1 :])
+        with contextlib.suppress(InputError):  # only what is no part of the arrays may change
+            found = read_safetensors(path)
+            assert found.keys() == arrays.keys()
+            for name, array in found.items():
+                assert array.dtype == arrays[name].dtype
+                np.testing.assert_array_equal(array, arrays[name])
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,8 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     collection = dataclasses.replace(options.collection, data_seed=2**64)
     refusal(lambda: main(dataclasses.replace(options, collection=collection)), "--data-seed", "give")
     assert not options.out.exists()
-    damaged = tmp_path / "data.npz"
-    damaged.write_bytes(b"PK\x03\x04garbage")
+    damaged = tmp_path / "data.safetensors"
+    damaged.write_bytes(b"garbage")
     refusal(lambda: objectnav_train.kept(damaged, lambda report: None, 1), damaged, "delete it")
     refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "--widths 4", "at least two")
 

@@ -236,13 +236,8 @@ class TrainingCheckpoints:
         if step is None:
             return None
         self.delete(after=step)
-        try:
-            restored = read_tree(self._path(step), jax.eval_shape(self._first_state))
-        except InputError as error:
-            raise InputError(
-                f"{error}; or delete it to go on from an earlier state, or train anew in another folder"
-            ) from None
-        return jax.tree.map(jnp.asarray, restored)
+        remedy = "delete it to go on from an earlier state, or train anew in another folder"
+        return jax.tree.map(jnp.asarray, read_tree(self._path(step), jax.eval_shape(self._first_state), remedy))
 
     def delete(self, *, after: int = -1) -> None:
         """Delete the states after a step; by default all states."""

@@ -16,6 +16,7 @@ from safetensors.numpy import save
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.files.reading import check_file
 
 #: Most bytes of a file of weights.
@@ -71,47 +72,57 @@ def _by_name(tree: Any) -> dict[str, Any]:
 def write_safetensors(path: str | Path, tensors: Any) -> None:
     """Write the arrays of a tree, such as `fresh_weights`, to a file, always as the same bytes.
 
-    An existing file is replaced atomically. Arrays get the names of their keys or attributes, with dots between.
+    An existing file is replaced atomically. Arrays get the names of their keys or attributes, with dots between. The
+    metadata of the file has their SHA-256.
     """
+    arrays = {name: np.asarray(leaf, order="C") for name, leaf in _by_name(tensors).items()}
     with replacing(path) as unfinished:
-        unfinished.write_bytes(save({name: np.asarray(leaf, order="C") for name, leaf in _by_name(tensors).items()}))
+        unfinished.write_bytes(save(arrays, {"sha256": tree_sha256(arrays)}))
 
 
-def read_safetensors(path: str | Path) -> dict[str, np.ndarray]:
+def read_safetensors(
+    path: str | Path, remedy: str = "give an undamaged file in the safetensors format"
+) -> dict[str, np.ndarray]:
     """Read the arrays of a file.
 
+    Args:
+      path: the file.
+      remedy: end of the message: what to do.
+
     Raises:
-      InputError: the file cannot be read or has another format; the message gives the reason.
+      InputError: the file cannot be read, has another format, or has arrays of another SHA-256 than it says.
     """
-    check_file(Path(path), "give a file in the safetensors format", at_most=_LARGEST)
+    check_file(Path(path), remedy, at_most=_LARGEST)
     try:
         with safe_open(path, framework="np") as file:
-            names = file.keys()
-            return {name: file.get_tensor(name) for name in names}
+            names, digest = file.keys(), (file.metadata() or {}).get("sha256")
+            arrays = {name: file.get_tensor(name) for name in names}
     except (OSError, SafetensorError, AttributeError, TypeError, ValueError) as error:  # also data types NumPy lacks
-        raise InputError(
-            f"{path}: cannot be read ({error}); give an undamaged file in the safetensors format"
-        ) from None
+        raise InputError(f"{path}: cannot be read ({error}); {remedy}") from None
+    if digest is not None and digest != tree_sha256(arrays):
+        raise InputError(f"{path}: cannot be read (is damaged: its arrays have another SHA-256 than it says); {remedy}")
+    return arrays
 
 
-def read_tree(path: str | Path, shapes: Any) -> Any:
+def read_tree(path: str | Path, shapes: Any, remedy: str = "keep the files of one training together") -> Any:
     """Read a tree of arrays from a file, such as the weights of a known network.
 
     Args:
       path: the file.
       shapes: tree of values with the shapes of the arrays.
+      remedy: end of the message: what to do.
 
     Raises:
       InputError: the file cannot be read, or an array is missing, unexpected or of another shape.
     """
-    tensors = read_safetensors(path)
+    tensors = read_safetensors(path, remedy)
     wanted = {name: tuple(leaf.shape) for name, leaf in _by_name(shapes).items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
     for name in sorted({**wanted, **found}):
         if wanted.get(name) != found.get(name):
             raise InputError(
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
-                f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
+                f"network needs {wanted.get(name, 'none')}; {remedy}"
             )
     return jax.tree.unflatten(jax.tree.structure(shapes), [tensors[name] for name in wanted])
 

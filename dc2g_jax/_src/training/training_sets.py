@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.files.atomic import replacing
-from dc2g_jax._src.files.reading import read_arrays
+from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.readers.houses import HouseDataset, tell_on_stderr
 from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,
@@ -39,7 +39,11 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
       InputError: the file cannot be read.
     """
     if path.exists():
-        return read_arrays(path, names, "delete it to collect its contents anew")
+        remedy = "delete it to collect its contents anew"
+        found = read_safetensors(path, remedy)
+        if set(found) != set(names):
+            raise InputError(f"{path}: has the arrays {short(sorted(found))}, not {', '.join(names)}; {remedy}")
+        return found
     with tqdm(desc=path.stem, unit=unit, file=sys.stderr) as bar:
 
         def show(done: int, total: int) -> None:
@@ -48,8 +52,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
 
         collected = collect(show)
     arrays = {name: np.asarray(getattr(collected, name)) for name in names}
-    with replacing(path) as unfinished:
-        np.savez(unfinished, **arrays)  # type: ignore[arg-type]
+    write_safetensors(path, arrays)
     return arrays
 
 
@@ -75,9 +78,9 @@ def open_training_set(
         check_masks(masks, houses, str(folder / name))
         return masks
 
-    parts = [kept_masks("masks.npz")]
+    parts = [kept_masks("masks.safetensors")]
     if network is not None:
-        parts.append(kept_masks("masks_of_network.npz", network))
+        parts.append(kept_masks("masks_of_network.safetensors", network))
     data = training_set(houses, n_own, by_house(parts))
     tell_on_stderr(
         f"Training on {n_own} houses of the dataset ({dataset.name}) and {config.extra_houses} more that are drawn: "

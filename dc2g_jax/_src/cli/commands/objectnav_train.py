@@ -218,9 +218,10 @@ def main(options: Options) -> None:
     output_folder(options, "objectnav_train", free=free, inputs=inputs)
     encoder = _open_encoder(options, houses)
     collection = options.collection
-    data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
+    own, others = options.out / "data.safetensors", options.out / "validation.safetensors"
+    data = kept(own, functools.partial(collect, houses, encoder, collection), len(houses))
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
-    validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
+    validation = kept(others, functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
     config = options.training(encoder.architecture.features)
     facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
