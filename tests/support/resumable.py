@@ -126,8 +126,7 @@ def fake_encoder_task(training, views, save) -> Task[TrainingState]:
         save(TrainedEncoder(state.weights, SMALL_ENCODER), {"loss": 0.5})
         return [{"step": step}]
 
-    small = dataclasses.replace(training, architecture=SMALL_ENCODER)
-    return Task(small.steps, small.first_state, fake_step, validate)
+    return Task(training.steps, fake_step, validate)
 
 
 def fake_results(name, houses, some_searches, searches) -> list[SearchResult]:
@@ -286,6 +285,7 @@ def objectnav_train_(
 ) -> Command:  # fmt: skip
     patch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
     patch.setattr(objectnav_train, "random_views", lambda *args: None)
+    patch.setattr(objectnav_train, "EncoderArchitecture", lambda: SMALL_ENCODER)
     patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
     patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
     patch.setattr(objectnav_train, "supervised_step", fake_step)

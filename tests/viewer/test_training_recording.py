@@ -194,7 +194,6 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
     def trained(name, watch, validate):
         task = Task(
             _CONFIG.steps,
-            lambda: first_state(_CONFIG),
             lambda state: supervised_step(state, data, _CONFIG.hyperparameters, training=training, mesh=mesh),
             validate=validate,
             watch=watch,

@@ -185,8 +185,7 @@ class TrainingCheckpoints:
       folder: folder of the run.
       config: training configuration. It must match the states in the folder.
       facts: a JSON object of anything else that must match to resume the run, such as the data.
-      first_state: `config -> state` before the first step, with an attribute `step`. It defines the shapes of restored
-        states.
+      first_state: `config -> state` before the first step, with an attribute `step`.
 
     Raises:
       InputError: the folder holds a run of another configuration.
@@ -227,14 +226,14 @@ class TrainingCheckpoints:
         return saved_steps(self._folder)
 
     def restore(self, step: int | None = None) -> Any:
-        """Restore the state after `step`, by default the newest, and delete later ones. `None` if there is no state.
+        """The state after `step`, whose later ones are deleted; by default the newest, or the first if none is saved.
 
         Raises:
           InputError: the state is damaged, or from another version of the program.
         """
         step = max(self.steps(), default=None) if step is None else step
         if step is None:
-            return None
+            return self._first_state()
         self.delete(after=step)
         remedy = "delete it to go on from an earlier state, or train anew in another folder"
         return jax.tree.map(jnp.asarray, read_tree(self._path(step), jax.eval_shape(self._first_state), remedy))

@@ -119,14 +119,13 @@ class StackedCheckpoints:
 
     of_runs: Sequence[TrainingCheckpoints]
 
-    def restore(self) -> TrainingState | None:
-        """The stacked states of the newest step that all runs have; `None` if there is none."""
+    def restore(self) -> TrainingState:
+        """The stacked states of the newest step that all runs have, or the first if there is none."""
         common = set.intersection(*(set(checkpoints.steps()) for checkpoints in self.of_runs))
         if not common:
             for checkpoints in self.of_runs:
                 checkpoints.delete()
-            return None
-        return stacked([checkpoints.restore(max(common)) for checkpoints in self.of_runs])
+        return stacked([checkpoints.restore(max(common, default=None)) for checkpoints in self.of_runs])
 
     def save(self, states: TrainingState) -> None:
         """Save the state of each run."""

@@ -183,13 +183,23 @@ def train(
         **watching.card,
     }
     with contextlib.closing(watching.recording) if watching.recording else contextlib.nullcontext():
-        checkpoints = TrainingCheckpoints(out, config, facts, first_state=first_state)
+        begun = functools.partial(_begun, network=network)
+        checkpoints = TrainingCheckpoints(out, config, facts, first_state=begun)
         task = _task(out, dataset, config, data, pauses, network, card, watching)
         state = loop.train(task, out, checkpoints, pauses, watching.track)
     trained = _network_of(state, config)
     return Trained(
         trained, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=trained)
     )
+
+
+def _begun(config: TrainingConfig, network: NetworkCostToGo | None) -> TrainingState:
+    """The state before the first step, with the weights of `network`, if given."""
+    state = first_state(config)
+    if network is None:
+        return state
+    fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
+    return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
 
 def _network_of(state: TrainingState, config: TrainingConfig) -> NetworkCostToGo:
@@ -206,7 +216,7 @@ def _task(
     card: Mapping[str, Any],
     watching: Watching,
 ) -> Task[TrainingState]:
-    """The training task. It starts from `network`, if given. Validations save the network with its card."""
+    """The training task, with masks of robots that `network` leads, if given. Validations save the network's card."""
     training, hyperparameters = CostToGoTraining(config.recipe, data.draw_batch), config.hyperparameters
     recording, mesh = watching.recording, mesh_for_batch(config.batch_size)
     # Raises before minutes of data collection.
@@ -215,13 +225,6 @@ def _task(
     rates, picture = learning_rates(config), watching.picture
 
     validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
-
-    def init() -> TrainingState:
-        state = first_state(config)
-        if network is None:
-            return state
-        fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
-        return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
     def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
         if recording is None:
@@ -241,7 +244,6 @@ def _task(
 
     return Task(
         steps=config.steps,
-        init=init,
         step=lambda state: supervised_step(state, pairs, hyperparameters, training=training, mesh=mesh),
         place=functools.partial(placed, mesh=mesh),
         validate=validate,

@@ -141,7 +141,7 @@ def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder
             folder, encoder.weights, encoder.architecture, ENCODER, {"losses": losses, **made}
         ),
     )
-    checkpoints = TrainingCheckpoints(folder, training, first_state=lambda _: task.init())
+    checkpoints = TrainingCheckpoints(folder, training, first_state=EncoderTraining.first_state)
     train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)
     # Load the half-precision weights that will be used.
     return load_encoder(folder)
@@ -186,7 +186,6 @@ def training_task(
 
     return Task(
         steps=config.steps,
-        init=functools.partial(first_state, config),
         step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
         validate=validate,
         validated=Log(options.out).by_step(),

@@ -39,7 +39,7 @@ from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, val
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
-from dc2g_jax._src.training.step import TrainingState, placed, stacked, supervised_step
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image, run_folder
 from dc2g_jax._src.training.training_sets import open_training_set
 from dc2g_jax._src.viewer.training_recording import prediction_picture
@@ -140,7 +140,6 @@ def train_group(
 
     task = Task(
         steps=recipe.steps,
-        init=lambda: stacked([first_state(config) for config in configs]),
         step=lambda states: supervised_step(states, data, hyperparameters, training=training, mesh=mesh),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),

@@ -295,4 +295,4 @@ def encoder_task(
     mesh = mesh_for_batch(training.batch_size)
     views, place = replicate(views, mesh), functools.partial(placed, mesh=mesh)
     step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
-    return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")
+    return Task(training.steps, step, validate, place=place, name="encoder")
