@@ -45,12 +45,8 @@ PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)
 class Recording(Protocol):
     """Shows a training, see `viewer.training_recording.TrainingRecording`."""
 
-    def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
-        """Show a loss."""
-        ...
-
-    def predict(self, step: int, network: NetworkCostToGo) -> None:
-        """Show predictions."""
+    def look(self, step: int, loss: float | None, network: NetworkCostToGo) -> None:
+        """Show a loss, and predictions; predictions alone before the first step."""
         ...
 
     def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
@@ -227,12 +223,8 @@ def _task(
     validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
 
     def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
-        if recording is None:
-            return
-        if loss is None:
-            recording.predict(step, _network_of(state, config))
-        else:
-            recording.look(step, float(loss), _network_of(state, config))
+        if recording is not None:
+            recording.look(step, None if loss is None else float(loss), _network_of(state, config))
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         now = _network_of(state, config)
