@@ -42,11 +42,10 @@ from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
 from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import COST_MAPS, CostMapArchitecture, CostMapNetwork, load_costs
-from dc2g_jax._src.training.cost_to_go_data import check_masks
+from dc2g_jax._src.training.cost_to_go_data import check_masks, kept_arrays
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.tracking import Curve
-from dc2g_jax._src.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame

@@ -43,7 +43,7 @@ from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
 from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
-from dc2g_jax._src.training import sweeps, train as training, training_sets
+from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.masks import Masks
@@ -230,8 +230,8 @@ def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
     patch.setattr(module, "supervised_step", fake_step)
     patch.setattr(module, "first_state", functools.cache(module.first_state))
     patch.setattr(module, "Validation", FakeValidation)
-    patch.setattr(training_sets, "observation_masks", fake_masks)
-    patch.setattr(training_sets, "training_set", fake_training_set)
+    patch.setattr(cost_to_go_data, "observation_masks", fake_masks)
+    patch.setattr(cost_to_go_data, "training_set", fake_training_set)
 
 
 def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:

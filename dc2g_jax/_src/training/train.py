@@ -31,12 +31,11 @@ from dc2g_jax._src.training.cost_to_go import (
     learning_rates,
     least_memory,
 )
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses
+from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, open_training_set
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image, TrackerName
-from dc2g_jax._src.training.training_sets import open_training_set
 
 #: When a training validates and saves unless it is told.
 PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)

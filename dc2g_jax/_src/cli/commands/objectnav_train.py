@@ -42,9 +42,9 @@ from dc2g_jax._src.search_indoors.learning.training import (
     validation_samples,
 )
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.training.cost_to_go_data import kept_arrays
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
-from dc2g_jax._src.training.training_sets import kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40

@@ -35,13 +35,12 @@ from dc2g_jax._src.training.cost_to_go import (
     learning_rates,
     least_memory,
 )
-from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, validation_pairs
+from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, open_training_set, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image, run_folder
-from dc2g_jax._src.training.training_sets import open_training_set
 from dc2g_jax._src.viewer.training_recording import prediction_picture
 
 #: Number of validation pairs, and of those in pictures for a tracker.
