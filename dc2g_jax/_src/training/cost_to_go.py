@@ -23,9 +23,6 @@ from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 #: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
 
-#: Axes of the mesh in training: runs are divided among the first, parts of a batch among the second.
-_RUNS, _PARTS = "runs", "parts"
-
 
 def check_numbers(learning_rate: float, **counts: int) -> None:
     """Check the learning rate and counts such as the number of steps.
