@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax  # noqa: F401 before the change: what libraries compile is theirs
+import orbax.checkpoint  # noqa: F401
 from flax import nnx, struct  # noqa: F401
 
 _jit = jax.jit
@@ -118,8 +119,8 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
     from dc2g_jax._src.training.masks import collect_masks
-    from dc2g_jax._src.training.step import stacked, supervised_step
-    from dc2g_jax._src.training.sweeps import stacked_hyperparameters
+    from dc2g_jax._src.training.step import supervised_step
+    from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
     from experiments.benchmarks import workload
     from tests.support import drives, trainings
     from tests.support.houses import DATASET, STREET
@@ -162,7 +163,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         config = trainings.COST_TO_GO
         numbers = stacked_hyperparameters([config, config])
         data = cls(trainings.training_set())
-        states = stacked([cost_to_go.first_state(config)] * 2)
+        states = init_states(config.recipe, numbers)
         training = cost_to_go.CostToGoTraining(config.recipe, draw_pairs)
         supervised_step(states, data, numbers, training=training, mesh=mesh_for_batch(config.batch_size, 2))
 

@@ -1,8 +1,8 @@
 """A disk that fails at its n-th operation, and a process that dies there.
 
 Only what Python writes passes through here: files that are opened with `open`, and the functions of `os`. Within
-`faulty`, `open` is the one of `_pyio`, which calls `os` for everything. The recordings of rerun, in Rust, are written
-on their own.
+`faulty`, `open` is the one of `_pyio`, which calls `os` for everything. Libraries in C++ and Rust (TensorStore below
+Orbax, the recordings of rerun) write on their own.
 """
 
 import _pyio

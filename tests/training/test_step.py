@@ -51,6 +51,7 @@ def test_an_interrupted_run_ends_like_one_that_was_not(case, trained, tmp_path):
         losses += part
         checkpoints.save(state)
         assert_same_bits(checkpoints.restore(), state)
+        checkpoints.close()
     assert losses == trained[1]
     assert_same_bits(state, trained[0])
 

@@ -1,5 +1,6 @@
 """Sweeps: the grid, what can be trained together, and that together is like alone."""
 
+import contextlib
 import dataclasses
 import functools
 
@@ -212,10 +213,11 @@ def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
         TrainingCheckpoints(tmp_path / str(run), config, first_state=first_state) for run, config in enumerate(configs)
     ]
     checkpoints = StackedCheckpoints(of_runs)
-    of_runs[1].save(first_state(configs[1]))
-    jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states)
-    assert of_runs[1].steps() == []
-    checkpoints.save(states.replace(step=states.step + 2))
-    of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved
-    jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states.replace(step=states.step + 2))
-    assert [each.steps() for each in of_runs] == [[2], [2]]
+    with contextlib.closing(checkpoints):
+        of_runs[1].save(first_state(configs[1]))
+        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states)
+        assert of_runs[1].steps() == []
+        checkpoints.save(states.replace(step=states.step + 2))
+        of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved
+        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states.replace(step=states.step + 2))
+        assert [each.steps() for each in of_runs] == [[2], [2]]

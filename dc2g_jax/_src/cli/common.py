@@ -114,7 +114,7 @@ def _full_disk(error: BaseException | None) -> str:
     """The reason why nothing could be written, if an error or what it came from says so; else empty."""
     reasons = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)]
     while error is not None:
-        # Libraries raise errors of their own, with the system's words in them.
+        # Orbax and TensorStore raise errors of their own, with the system's words in them.
         for reason in reasons:
             if reason in str(error):
                 return f"{getattr(error, 'filename', None) or folder_in_use() or 'a file'}: {reason.lower()}"

@@ -13,7 +13,7 @@ import tyro
 
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, save_network, saved_steps
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.readers.houses import HouseDataset
@@ -105,7 +105,7 @@ def require_steps(steps: int, out: Path) -> None:
     Raises:
       InputError: it has.
     """
-    taken = max(saved_steps(out), default=0)
+    taken = newest_step(out)
     if taken > steps:
         raise InputError(f"{out}: has {taken} steps behind it; give at least as many --steps, or another --out")
 

@@ -1,10 +1,12 @@
-"""Networks, with a card, and training states on disk as safetensors, validated when loaded."""
+"""Networks (safetensors and a card) and training states (Orbax) on disk, validated when loaded."""
 
+import contextlib
 import dataclasses
 import functools
 import json
+import logging
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from flax import nnx
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, require_extra, short
 from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture, network_class
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture
-from dc2g_jax._src.estimation.weights import read_tree, read_weights, shapes_of_weights, write_safetensors
+from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.files.reading import number, read_object, whole_number
@@ -71,6 +73,28 @@ def _like(default: Any, value: Any) -> Any:
     if isinstance(default, tuple):
         return tuple(_like(default[0], one) for one in value)
     return whole_number(value) if isinstance(default, int) else number(value) if isinstance(default, float) else value
+
+
+def _orbax() -> Any:
+    """Import Orbax, which takes a second and is only needed for training states."""
+    require_extra("orbax")
+    import orbax.checkpoint
+
+    return orbax.checkpoint
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence Orbax's progress reports, which go to absl's logger."""
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def reason(error: Exception) -> str:
@@ -173,9 +197,9 @@ def network_in_folder(folder: str | os.PathLike[str] | None = None) -> TrainedNe
     return estimator(weights=weights, architecture=architecture)
 
 
-def saved_steps(folder: str | Path) -> list[int]:
-    """Steps with a training state in a run's folder, ascending."""
-    return sorted(int(path.stem) for path in (Path(folder) / _STATES).glob("*.safetensors") if path.stem.isdecimal())
+def newest_step(folder: str | Path) -> int:
+    """Number of steps of the newest training state in a run's folder; 0 if there is none."""
+    return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdecimal()), default=0)
 
 
 class TrainingCheckpoints:
@@ -188,7 +212,7 @@ class TrainingCheckpoints:
       first_state: `config -> state` before the first step, with an attribute `step`.
 
     Raises:
-      InputError: the folder holds a run of another configuration.
+      InputError: the folder holds a run of another configuration, or Orbax is not installed.
     """
 
     def __init__(
@@ -199,8 +223,9 @@ class TrainingCheckpoints:
         *,
         first_state: Callable[[Any], Any],
     ):
-        self._first_state, folder = functools.partial(first_state, config), Path(folder).absolute()
-        (folder / _STATES).mkdir(parents=True, exist_ok=True)
+        self._first_state, self._orbax = functools.partial(first_state, config), _orbax()
+        folder = Path(folder).absolute()
+        folder.mkdir(parents=True, exist_ok=True)
         wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
         if (folder / _CONFIG).exists():
             found = read_object(folder / _CONFIG, "give another folder")
@@ -216,14 +241,25 @@ class TrainingCheckpoints:
                 )
         else:
             write_json(folder / _CONFIG, wanted)
-        self._folder = folder
-
-    def _path(self, step: int) -> Path:
-        return self._folder / _STATES / f"{step}.safetensors"
+        self._folder = folder / _STATES
+        self._folder.mkdir(exist_ok=True)
+        with _quiet():
+            self._manager = self._orbax.CheckpointManager(
+                self._folder,
+                options=self._orbax.CheckpointManagerOptions(
+                    max_to_keep=2,
+                    create=False,
+                    enable_async_checkpointing=False,  # its signals may be those of all processes
+                    # Each process has its own folder.
+                    multiprocessing_options=self._orbax.options.MultiprocessingOptions(
+                        primary_host=None, active_processes={jax.process_index()}
+                    ),
+                ),
+            )
 
     def steps(self) -> list[int]:
         """Steps with a saved state, ascending."""
-        return saved_steps(self._folder)
+        return sorted(self._manager.all_steps())
 
     def restore(self, step: int | None = None) -> Any:
         """The state after `step`, whose later ones are deleted; by default the newest, or the first if none is saved.
@@ -231,21 +267,35 @@ class TrainingCheckpoints:
         Raises:
           InputError: the state is damaged, or from another version of the program.
         """
-        step = max(self.steps(), default=None) if step is None else step
+        if step is None:
+            step = self._manager.latest_step()
         if step is None:
             return self._first_state()
         self.delete(after=step)
-        remedy = "delete it to go on from an earlier state, or train anew in another folder"
-        return jax.tree.map(jnp.asarray, read_tree(self._path(step), jax.eval_shape(self._first_state), remedy))
+        template = jax.eval_shape(self._first_state)
+        try:
+            with _quiet():
+                restored = self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
+        except Exception as error:  # Orbax raises many types
+            raise InputError(
+                f"{self._folder / str(step)}: cannot be restored ({reason(error)}); delete it to go on from an "
+                "earlier state, or train anew in another folder"
+            ) from None
+        # Not bound to the devices that Orbax put it on.
+        return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
 
     def delete(self, *, after: int = -1) -> None:
         """Delete the states after a step; by default all states."""
         for step in self.steps():
             if step > after:
-                self._path(step).unlink()
+                self._manager.delete(step)
 
     def save(self, state: Any) -> None:
-        """Save a state."""
-        write_safetensors(self._path(int(state.step)), state)
-        for step in self.steps()[:-2]:
-            self._path(step).unlink()
+        """Save a state and wait until it is on disk."""
+        with _quiet():
+            self._manager.save(int(state.step), args=self._orbax.args.StandardSave(jax.tree.map(np.asarray, state)))
+            self._manager.wait_until_finished()
+
+    def close(self) -> None:
+        """Release the folder."""
+        self._manager.close()

@@ -104,17 +104,17 @@ def read_safetensors(
     return arrays
 
 
-def read_tree(path: str | Path, shapes: Any, remedy: str = "keep the files of one training together") -> Any:
-    """Read a tree of arrays from a file, such as the weights of a known network.
+def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
+    """Read the weights of a known network from a file, as float32.
 
     Args:
       path: the file.
-      shapes: tree of values with the shapes of the arrays.
-      remedy: end of the message: what to do.
+      shapes: nested dictionary of values with the shapes of the network's weights.
 
     Raises:
       InputError: the file cannot be read, or an array is missing, unexpected or of another shape.
     """
+    remedy = "keep the files of one training together"
     tensors = read_safetensors(path, remedy)
     wanted = {name: tuple(leaf.shape) for name, leaf in _by_name(shapes).items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
@@ -124,9 +124,4 @@ def read_tree(path: str | Path, shapes: Any, remedy: str = "keep the files of on
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
                 f"network needs {wanted.get(name, 'none')}; {remedy}"
             )
-    return jax.tree.unflatten(jax.tree.structure(shapes), [tensors[name] for name in wanted])
-
-
-def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """The same as float32 arrays of JAX."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), read_tree(path, shapes))
+    return jax.tree.unflatten(jax.tree.structure(shapes), [jnp.asarray(tensors[name], jnp.float32) for name in wanted])

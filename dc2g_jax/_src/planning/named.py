@@ -9,7 +9,6 @@ from typing import Any
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo, answers_in_cells
-from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.planning.bounded import Bounded, CautiousDC2G
 from dc2g_jax._src.planning.frontiers import facing_most
@@ -185,4 +184,7 @@ def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estima
     """
     if network is not None and not isinstance(network, str | os.PathLike):
         return network
+    # Orbax takes a second to import and is only needed for files.
+    from dc2g_jax._src.estimation.hub import load_network
+
     return load_network(network)

@@ -116,6 +116,10 @@ class Checkpoints(Protocol):
         """Save a state."""
         ...
 
+    def close(self) -> None:
+        """Release the folder."""
+        ...
+
 
 class Log:
     """`log.jsonl`: one line per validation. A validation repeated after an interruption counts once.
@@ -238,7 +242,7 @@ def train(
     Args:
       task: the training task.
       out: folder of the log and the curves.
-      checkpoints: storage of the states.
+      checkpoints: storage of the states; closed at the end.
       pauses: when to validate and to save.
       track: tracker to send the curves to.
 
@@ -279,7 +283,7 @@ def train(
         if noted:
             raise KeyboardInterrupt
 
-    with contextlib.closing(Curve(out, task.runs, track)) as curve:
+    with contextlib.closing(checkpoints), contextlib.closing(Curve(out, task.runs, track)) as curve:
         state: Any = task.place(checkpoints.restore())
         step = int(np.max(fetch(state.step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:

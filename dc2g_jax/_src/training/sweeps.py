@@ -132,6 +132,11 @@ class StackedCheckpoints:
         for checkpoints, state in zip(self.of_runs, fetched_runs(states), strict=True):
             checkpoints.save(state)
 
+    def close(self) -> None:
+        """Release the folders."""
+        for checkpoints in self.of_runs:
+            checkpoints.close()
+
 
 def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:
     """Number of skipped steps of each run, in which the loss or the weights would not have been finite."""

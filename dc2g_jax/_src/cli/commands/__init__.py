@@ -144,7 +144,7 @@ def prepare() -> None:
         os.environ.setdefault("TQDM_MININTERVAL", "15")
     sys.excepthook = _tell_exception
     try:
-        require_extra("cv2", "matplotlib", "rerun", "tyro")
+        require_extra("cv2", "matplotlib", "orbax", "rerun", "tyro")
     except InputError as error:
         _refuse(error)
 

@@ -14,7 +14,7 @@ from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import saved_steps
+from dc2g_jax._src.estimation.checkpoints import newest_step
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
@@ -107,8 +107,7 @@ def watching(options: Options, dataset: HouseDataset, config: TrainingConfig) ->
     recording, maps = None, None
     if options.record or options.connect is not None or options.track is not None:
         maps = maps_to_watch(dataset, _MAPS_SHOWN)
-    is_recorded = options.record or options.connect is not None
-    if maps is not None and is_recorded and config.steps not in saved_steps(options.out):
+    if maps is not None and (options.record or options.connect is not None) and newest_step(options.out) < config.steps:
         file = next_file(options.out) if options.record else None
         recording = TrainingRecording(options.out, config, maps, file=file, viewer=options.connect)
     return Watching(
