@@ -46,6 +46,9 @@ class Training:
     def save(self, state):
         self.saved.append(int(state.step))
 
+    def close(self):
+        pass
+
     def run(self, first_step=0, validate_every=10, minutes=np.inf, **changes):
         self.first_step = first_step
         task = Task(
