@@ -31,8 +31,8 @@ from dc2g_jax._src.cli.commands import (
     train_translator,
 )
 from dc2g_jax._src.cli.driving import DriveResult
-from dc2g_jax._src.estimation.checkpoints import network_in_folder
-from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
+from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
@@ -42,9 +42,9 @@ from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
-from dc2g_jax._src.training import sweeps, train as training, training_sets
+from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.masks import Masks
@@ -127,8 +127,7 @@ def fake_encoder_task(training, views, save) -> Task[TrainingState]:
         save(TrainedEncoder(state.weights, SMALL_ENCODER), {"loss": 0.5})
         return [{"step": step}]
 
-    small = dataclasses.replace(training, architecture=SMALL_ENCODER)
-    return Task(small.steps, small.first_state, fake_step, validate)
+    return Task(training.steps, fake_step, validate)
 
 
 def fake_results(name, houses, some_searches, searches) -> list[SearchResult]:
@@ -232,8 +231,8 @@ def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
     patch.setattr(module, "supervised_step", fake_step)
     patch.setattr(module, "first_state", functools.cache(module.first_state))
     patch.setattr(module, "Validation", FakeValidation)
-    patch.setattr(training_sets, "observation_masks", fake_masks)
-    patch.setattr(training_sets, "training_set", fake_training_set)
+    patch.setattr(cost_to_go_data, "observation_masks", fake_masks)
+    patch.setattr(cost_to_go_data, "training_set", fake_training_set)
 
 
 def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
@@ -288,6 +287,7 @@ def objectnav_train_(
 ) -> Command:  # fmt: skip
     patch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
     patch.setattr(objectnav_train, "random_views", lambda *args: None)
+    patch.setattr(objectnav_train, "EncoderArchitecture", lambda: SMALL_ENCODER)
     patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
     patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
     patch.setattr(objectnav_train, "supervised_step", fake_step)
@@ -304,8 +304,8 @@ def objectnav_train_(
 
 def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(0))
-    write_network(folder / "given.safetensors", weights, SMALL_ENCODER, {})
-    return objectnav_train_(dataset, folder, patch, folder / "given.safetensors")
+    write_network(folder / "given", weights, SMALL_ENCODER, ENCODER)
+    return objectnav_train_(dataset, folder, patch, folder / "given")
 
 
 #: `(houses, folder for inputs, patch) -> command`, by the name of its module.

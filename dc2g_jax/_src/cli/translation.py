@@ -189,7 +189,6 @@ def train_translators(
 
     task = Task(
         steps=options.steps,
-        init=lambda: whole([first_state(config, seed=seed) for seed in seeds.values()]),
         step=lambda state: supervised_step(state, pairs, keys, training=training, mesh=mesh),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run or None)) for run in seeds)),
