@@ -8,7 +8,7 @@ from typing import Any
 
 from dc2g_jax._src.cli.common import check_seed, command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.cli.translation import Translation, TranslationOptions, train_translators, translation_data
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.image_figures import plot_training
@@ -72,7 +72,7 @@ def main(options: Options) -> None:
         "runs": {loss: [list(log.values()) for log in logs] for loss, logs in runs.items()},
     }
     write_json(options.out / "results.json", facts)
-    print(f"Written to {options.out}: fig5.png, fig5.svg, fig5.pdf, results.json, runs")
+    print_files(options.out)
 
 
 if __name__ == "__main__":
