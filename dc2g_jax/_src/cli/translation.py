@@ -1,4 +1,4 @@
-"""Shared by the commands for the image-to-image translator: its training pairs and its training."""
+"""The image-to-image translator: its training pairs and its training."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -127,7 +127,7 @@ def train_translators(
 
     Args:
       out: folder of all runs.
-      seeds: the seed of each run by its name, which is empty for a single run that `out` is the folder of.
+      seeds: the seed of each run by its name.
       dataset: the houses.
       data: pairs made of them.
       config: training configuration of all runs.
@@ -140,8 +140,7 @@ def train_translators(
     folders = [run_folder(out, run) for run in seeds]
     for folder in folders:
         require_steps(options.steps, folder)
-    names, together = tuple(run for run in seeds if run), len(seeds) > 1
-    mesh = mesh_for_batch(config.batch_size, len(seeds))
+    together, mesh = len(seeds) > 1, mesh_for_batch(config.batch_size, len(seeds))
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
@@ -181,10 +180,8 @@ def train_translators(
             if options.validate_every:
                 metrics = metrics_over_pairs(network, data.validation)
                 known = {name: number_or_null(value) for name, value in metrics.items()}
-                name = {"run": run} if run else {}
-                lines.append(
-                    {**name, "step": step, "train_l1": None if loss is None else number_or_null(loss), **known}
-                )
+                mean = None if loss is None else number_or_null(loss)
+                lines.append({"run": run, "step": step, "train_l1": mean, **known})
         return lines
 
     task = Task(
@@ -192,11 +189,11 @@ def train_translators(
         init=lambda: whole([first_state(config, seed=seed) for seed in seeds.values()]),
         step=lambda state: supervised_step(state, pairs, keys, training=training, mesh=mesh),
         validate=validate,
-        validated=set.intersection(*(set(log.by_step(run or None)) for run in seeds)),
+        validated=set.intersection(*(set(log.by_step(run)) for run in seeds)),
         place=partial(placed, mesh=mesh),
-        name=", ".join(names) or out.name,
+        name=", ".join(seeds),
         steps_per_look=_STEPS_PER_LOOK,
-        runs=names,
+        runs=tuple(seeds),
         learning_rate=lambda step: config.learning_rate,
     )
     options_of_data = ("masks", "train_masks", "whole_share", "no_augment")

@@ -124,7 +124,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
 
 def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
     """Kind, architecture and digest of a saved network, after checking that this package can run it."""
-    remedy = "give a folder written by `dc2g train` or `dc2g train-translator`"
+    remedy = "give a folder written by `dc2g train` or `dc2g fig5`"
     if (folder / "network" / CARD).exists():
         remedy = f"give {folder / 'network'}"
     facts = read_object(folder / CARD, remedy)

@@ -1,6 +1,6 @@
 """The paper's Fig. 4: predictions of a network on unseen maps, whole and partial.
 
-`python -m experiments.reproduce_fig4 --network checkpoints/translator/network`
+`python -m experiments.reproduce_fig4 --network outputs/fig5/runs/l1+gan-seed0/network`
 """
 
 import dataclasses
