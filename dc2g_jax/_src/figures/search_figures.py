@@ -220,10 +220,10 @@ def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[
         yield np.array(canvas.buffer_rgba())[..., :3]
 
 
-def animate_search(path: str | Path, search: RecordedSearch) -> Path:
+def animate_search(path: str | Path, search: RecordedSearch) -> None:
     """Write an animation of a search, see `search_pictures`, as `figures.animation.write_animation` does."""
     paint = functools.partial(search_pictures, search)
-    return write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
+    write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
 
 
 def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> None:

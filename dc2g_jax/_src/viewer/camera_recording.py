@@ -85,7 +85,8 @@ def record_camera(
     stride = max(1, round(pixels_a_point**0.5))
     stream = open_recording(file, name=name, blueprint=_layout(settings, path))
     _describe(stream, camera, settings)
-    waiting, poses = iter(frames), []
+    waiting = iter(frames)
+    poses: list[CameraPose] = []
     while mapped := list(itertools.islice(waiting, _CHUNK)):
         steps = len(poses) + np.arange(len(mapped))
         poses += [one.frame.pose for one in mapped]

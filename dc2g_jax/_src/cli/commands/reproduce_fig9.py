@@ -60,7 +60,7 @@ class Options(DrivingOptions, DatasetOptions, OutOptions):
 def mapped(moment: Moment) -> MappedFrame:
     """A moment of a drive as a recording shows it."""
     _, encoded = cv2.imencode(".png", moment.picture[..., ::-1])
-    return MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, moment.robot.terrain)
+    return MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, np.asarray(moment.robot.terrain))
 
 
 def main(options: Options) -> None:
