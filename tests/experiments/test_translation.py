@@ -85,8 +85,6 @@ def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
         train(tmp_path, dataset, steps=count)
     assert steps[0] == list(range(40))
     assert list(Log(tmp_path).by_step("run")) == [10, 20, 30, 40]
-    with pytest.raises(InputError, match=r"run: has 40 steps behind it; give at least as many --steps"):
-        train(tmp_path, dataset, steps=30)
 
 
 def test_a_run_that_is_refused_fewer_steps_stays_as_it_is(dataset, tmp_path, steps, monkeypatch):
@@ -99,7 +97,7 @@ def test_a_run_that_is_refused_fewer_steps_stays_as_it_is(dataset, tmp_path, ste
     reproduce_fig5.main(longer)
     written = (tmp_path / "run" / "run.json").read_bytes()
     assert len(json.loads(written)["runs"]) == 2
-    with pytest.raises(InputError, match=r"l1-seed0: has 30 steps behind it"):
+    with pytest.raises(InputError, match=r"l1-seed0: has 30 steps behind it; give at least as many --steps"):
         reproduce_fig5.main(dataclasses.replace(options, resume=True))
     assert (tmp_path / "run" / "run.json").read_bytes() == written
     assert steps[0] == list(range(30))

@@ -135,11 +135,9 @@ def train_translators(
       track: tracker to send the curves to.
 
     Raises:
-      InputError: a folder holds a run with other options or more steps, or the loss of a single run is not finite.
+      InputError: a folder holds a run with other options, or the loss of a single run is not finite.
     """
     folders = [run_folder(out, run) for run in seeds]
-    for folder in folders:
-        require_steps(options.steps, folder)
     together, mesh = len(seeds) > 1, mesh_for_batch(config.batch_size, len(seeds))
     draw = partial(
         draw_image_pairs,

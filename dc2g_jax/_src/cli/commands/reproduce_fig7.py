@@ -31,7 +31,7 @@ from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, ope
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g, with_authors
+from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS, with_authors
 from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
 from dc2g_jax._src.viewer.recording import record_frames
 
@@ -171,17 +171,11 @@ def main(options: Options) -> None:
     tables: dict[str, Table] = {}
     entries: dict[str, list[ExtraSteps]] = {}
     results: dict[str, list[EpisodeResult]] = {}
-    ratio: dict[str, dict[str, float]] = {}
     if options.settings != "paper" and dataset.source == "published":
         results["published"] = table.published(dataset, options.planner, network)
         entries["published"] = with_authors(results["published"])
         tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
-        ratio = frontier_over_dc2g(results["published"])
         print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
-        if ratio:
-            print("\nmean of frontier steps / dc2g steps, less one, %")
-        for whose, row in ratio.items():
-            print(f"{whose:18}" + "".join(f"{row[group]:>11.1f}{'':9}" for group in PUBLISHED_GROUPS))
     elif options.settings != "paper":
         tell_on_stderr(f"Left out: the 400 published episodes, which need the published houses, not {dataset.name}")
     if sampled is not None:
@@ -217,7 +211,6 @@ def main(options: Options) -> None:
         "seconds": round(time.perf_counter() - began, 1),
         "published": _as_json(tables.get("published", {})),
         "paper": _as_json(tables.get("paper", {})),
-        "frontier_over_dc2g": ratio,
     }
     write_json(out / "results.json", facts)
     print(f"\nIn {facts['seconds']} s:")
