@@ -67,16 +67,6 @@ _PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 _OF_A_HOUSE = Summary._fields.index("mean_low")
 
 
-def _sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
-    """A runner and sampled starts: the same number in every test house that can be run, so that houses weigh equally.
-
-    Raises:
-      InputError: there are no starts, or the houses cannot be run together.
-    """
-    starts = sample_starts(usable_houses(dataset, "test"), options.starts_per_house, seed=options.seed)
-    return Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()), starts
-
-
 def drawn(planners: Sequence[str]) -> list[str]:
     """Planners in figures of single houses: DC2G, frontier exploration and the user's own; all if none of these ran."""
     ran = [planner for planner in planners if planner != "oracle"]
@@ -164,7 +154,10 @@ def main(options: Options) -> None:
             "them, or --settings paper for sampled starts"
         )
     network = network_for(options.planner, options.network)
-    sampled = None if options.settings == "published" else _sampled_episodes(dataset, options)
+    starts: list[Start] = []
+    if options.settings != "published":  # the same number in every house that can be run: houses weigh equally
+        starts = sample_starts(usable_houses(dataset, "test"), options.starts_per_house, seed=options.seed)
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
     out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.name == PROCEDURAL else dataset.name
@@ -178,11 +171,10 @@ def main(options: Options) -> None:
         print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
     elif options.settings != "paper":
         tell_on_stderr(f"Left out: the 400 published episodes, which need the published houses, not {dataset.name}")
-    if sampled is not None:
+    if options.settings != "published":
         for house in dataset.split("test"):
             if reason := why_no_episode(house):
                 tell_on_stderr(f"Left out: house {house.name}: {reason}")
-        runner, starts = sampled
         results["paper"] = table.run(runner, starts, options.planner, network)
         entries["paper"] = [
             ExtraSteps(one.planner, group_of(dataset.house(one.house)) or "test", one.house, one.extra, one.success)
