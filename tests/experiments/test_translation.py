@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli import translation
 from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5
-from dc2g_jax._src.cli.translation import TranslationOptions, train_translators, translation_data
+from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions, train_translators, translation_data
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.readers.houses import HouseDataset
@@ -53,8 +52,8 @@ def steps(monkeypatch):
         taken.append(number)
         return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
 
-    monkeypatch.setattr(translation, "supervised_step", step)
-    monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
+    monkeypatch.setattr(reproduce_fig5, "supervised_step", step)
+    monkeypatch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: dict(METRICS))
     return taken, trouble
 
 
@@ -90,10 +89,10 @@ def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
 def test_a_run_that_is_refused_fewer_steps_stays_as_it_is(dataset, tmp_path, steps, monkeypatch):
     monkeypatch.setattr(reproduce_fig5, "open_dataset", lambda location, *, cells: dataset)
     options = reproduce_fig5.Options(
-        out=tmp_path / "run", losses=("l1",), seeds=(0,), training=dataclasses.replace(OPTIONS, steps=20)
+        out=tmp_path / "run", losses=("l1",), seeds=(0,), **dataclasses.asdict(dataclasses.replace(OPTIONS, steps=20))
     )
     reproduce_fig5.main(options)
-    longer = dataclasses.replace(options, resume=True, training=OPTIONS)
+    longer = dataclasses.replace(options, resume=True, steps=OPTIONS.steps)
     reproduce_fig5.main(longer)
     written = (tmp_path / "run" / "run.json").read_bytes()
     assert len(json.loads(written)["runs"]) == 2
@@ -112,7 +111,9 @@ def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
 
 def test_figure_5_goes_on_with_the_runs_that_are_there(dataset, tmp_path, steps, monkeypatch):
     monkeypatch.setattr(reproduce_fig5, "open_dataset", lambda location, *, cells: dataset)
-    options = reproduce_fig5.Options(out=tmp_path / "fig5", losses=("l1", "l1+gan"), seeds=(0, 3), training=OPTIONS)
+    options = reproduce_fig5.Options(
+        out=tmp_path / "fig5", losses=("l1", "l1+gan"), seeds=(0, 3), **dataclasses.asdict(OPTIONS)
+    )
     reproduce_fig5.main(options)
     reproduce_fig5.main(dataclasses.replace(options, resume=True))
     assert steps[0] == 4 * list(range(30))
@@ -153,7 +154,7 @@ def test_networks_that_cannot_be_built_are_refused_in_one_line():
 
 
 def test_runs_trained_together_are_those_trained_alone(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
+    monkeypatch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: dict(METRICS))
     options, seeds = dataclasses.replace(OPTIONS, steps=2, validate_every=1), {"a": 3, "b": 4}
     data = translation_data(dataset, options)
     for run, seed in seeds.items():

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli import episodes, searches, translation
+from dc2g_jax._src.cli import episodes, searches
 from dc2g_jax._src.cli.commands import (
     compare,
     head_to_head,
@@ -258,16 +258,16 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
 
 
 def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    patch.setattr(translation, "supervised_step", fake_step)
-    patch.setattr(translation, "first_state", functools.cache(translation.first_state))
-    patch.setattr(translation, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
-    data = translation.TranslationData(trainings.image_set(), trainings.image_set())
+    patch.setattr(reproduce_fig5, "supervised_step", fake_step)
+    patch.setattr(reproduce_fig5, "first_state", functools.cache(reproduce_fig5.first_state))
+    patch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
+    data = reproduce_fig5.TranslationData(trainings.image_set(), trainings.image_set())
     patch.setattr(reproduce_fig5, "translation_data", lambda dataset, options: data)
     patch.setattr(reproduce_fig5, "plot_training", fake_figure)
-    training = translation.TranslationOptions(
-        size=32, base_filters=2, steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0
-    )
-    options = reproduce_fig5.Options(dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), training=training)
+    options = reproduce_fig5.Options(
+        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), size=32, base_filters=2, steps=2, batch_size=1,
+        validate_every=1, minutes_per_checkpoint=0.0,
+    )  # fmt: skip
     return _command(reproduce_fig5, options)
 
 
