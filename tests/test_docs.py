@@ -5,6 +5,7 @@ import fnmatch
 import functools
 import importlib
 import importlib.util
+import json
 import re
 import shlex
 from pathlib import Path
@@ -15,7 +16,9 @@ import pytest
 import tyro
 
 from dc2g_jax._src.cli.commands import COMMANDS
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.rollouts import devices
+from experiments.results import RESULTS, Options, main, run_in, templates, with_figures
 from tests.support.places import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -176,3 +179,34 @@ def test_options_named_in_the_text_exist(page):
     for program, arguments in commands(_SHELL.sub("", page.read_text())):
         names = {word[2:].partition("=")[0] for word in arguments.split() if word.startswith("--")} - {"help"}
         assert names <= option_names(options_of(program)), f"{program}{arguments}"
+
+
+@pytest.mark.parametrize("page", templates())
+def test_figures_are_those_of_the_results(page):
+    """Otherwise `python -m experiments.results` writes them."""
+    text = (ROOT / page).read_text()
+    assert with_figures(text, page, json.loads(RESULTS.read_text())) == text
+
+
+def test_another_figure_is_put_right_and_a_missing_one_is_noticed():
+    text, results = (ROOT / "README.md").read_text(), json.loads(RESULTS.read_text())
+    assert text.count("| 33.0 (12.0) |") == text.count("averages 25.7 %") == 1
+    wrong = text.replace("| 33.0 (12.0) |", "| 1.25 (0.0) |").replace("averages 25.7 %", "averages\n7 %")
+    assert with_figures(wrong, "README.md", results).split() == text.split()
+    with pytest.raises(InputError, match=r"README.md: 0 places, not one, .*`dc2g_uncertain`"):
+        with_figures(text.replace("`dc2g_uncertain`", ""), "README.md", results)
+
+
+def test_a_run_says_where_its_figures_come_from(tmp_path):
+    run = {"began": "2026-01-02T03:04:05+00:00", "commit": "c", "versions": {"jax": "0"}}
+    runs = [run | {"command": "dc2g fig7"}, run | {"command": "dc2g fig7 --out here --resume --dataset /a/b"}]
+    (tmp_path / "run.json").write_text(json.dumps({"runs": runs}))
+    (tmp_path / "results.json").write_text(
+        json.dumps({"seconds": 1.5, "paper": {"frontier": [1 / 3, None], "dc2g": {}}})
+    )
+    facts = {"command": "dc2g fig7 --dataset FOLDER", "date": "2026-01-02", "commit": "c", "versions": {"jax": "0"}}
+    assert run_in(tmp_path) == facts | {"paper": {"frontier": [0.333333, None]}}
+    before = RESULTS.read_text()
+    with pytest.raises(InputError, match="pages show 'published', which a run there lacks"):
+        main(Options(take=("fig7", tmp_path)))
+    assert RESULTS.read_text() == before

@@ -30,7 +30,7 @@ SECTIONS = {
 _COLUMNS = ("what", "by", "cores", "batch", "cells", "range", "a second", "worst", "median", "share", "more")
 
 
-def _figures(value: float | None) -> str:
+def in_short(value: float | None) -> str:
     """A number with three significant digits."""
     if value is None:
         return ""
@@ -54,7 +54,7 @@ def cells_of(row: Row) -> list[str]:
     if row.missing is not None:
         more = row.missing
     else:
-        facts = [f"{name} {_figures(value)}" for name, value in row.facts.items() if name != "same actions"]
+        facts = [f"{name} {in_short(value)}" for name, value in row.facts.items() if name != "same actions"]
         same = row.facts.get("same actions", row.facts.get("same answer"))
         facts = [fact for fact in facts if not fact.startswith("same answer")]
         if same is not None:
@@ -62,9 +62,9 @@ def cells_of(row: Row) -> list[str]:
         if row.added_memory is not None and row.added_memory >= 2**20:
             facts.append(f"{row.added_memory / 2**20:,.0f} MiB more memory")
         more = ", ".join(facts)
-    rate = "" if row.rate is None else f"{_figures(row.rate)} {row.unit}"
+    rate = "" if row.rate is None else f"{in_short(row.rate)} {row.unit}"
     numbers = ["" if value is None else str(value) for value in (row.cores, row.batch, row.cells, row.sensing_range)]
-    return [row.what, row.by, *numbers, rate, _figures(row.worst_rate), _seconds(row.seconds), shares, more]
+    return [row.what, row.by, *numbers, rate, in_short(row.worst_rate), _seconds(row.seconds), shares, more]
 
 
 def line_of(row: Row) -> str:
@@ -102,7 +102,7 @@ def text(rows: Sequence[Row]) -> str:
 def peak_lines(peaks: Mapping[str, Peak]) -> list[str]:
     """What the machine does at best, a line a resource."""
     return [
-        f"measured {resource}: {_figures(peak.rate / 1e9)} G {peak.unit}, worst {_figures(peak.worst_rate / 1e9)}"
+        f"measured {resource}: {in_short(peak.rate / 1e9)} G {peak.unit}, worst {in_short(peak.worst_rate / 1e9)}"
         for resource, peak in peaks.items()
     ]
 

@@ -20,7 +20,7 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, DRIVEWAY, HOUSE, PATH
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import Assessment
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues, at_cells
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues, at_cells
 
 #: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
 #: the middle one of the next.
