@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun, jaxprs_in_params
 
@@ -123,6 +124,8 @@ class _Counter:
         name, params = equation.primitive.name, equation.params
         if name == "while":
             return self._loop(params, inputs)
+        if name == "scan":
+            return self._scan(params, inputs)
         if name == "cond":
             index, *operands = inputs
             return self.call(params["branches"][int(index)], operands)
@@ -145,6 +148,20 @@ class _Counter:
             carry = self.call(params["body_jaxpr"], [*body_consts, *carry])
             self.work = self.work.plus(a_turn)
         return carry
+
+    def _scan(self, params: dict[str, Any], inputs: list[Any]) -> list[Any]:
+        n_consts, n_carry = params["num_consts"], params["num_carry"]
+        consts, carry, given = inputs[:n_consts], inputs[n_consts : n_consts + n_carry], inputs[n_consts + n_carry :]
+        rows = range(params["length"])
+        made = []
+        for row in reversed(rows) if params["reverse"] else rows:
+            found = self.call(params["jaxpr"], [*consts, *carry, *(leaf[row] for leaf in given)])
+            carry = found[:n_carry]
+            made.append(found[n_carry:])
+            self.work = self.work.plus(Work(0, 0, 1))
+        if params["reverse"]:
+            made.reverse()
+        return [*carry, *map(jnp.stack, zip(*made, strict=True))]
 
 
 def count_work(function: Callable[..., Any], *arguments: Any) -> Work:

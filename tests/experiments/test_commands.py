@@ -103,7 +103,7 @@ def test_reproduce_fig7_records_episodes(few_houses, tmp_path):
     result = run("reproduce_fig7", "--dataset", few_houses, *options, "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr
     for ending in ("rrd", "png"):
-        assert len(list((tmp_path / "out" / "recordings").glob(f"*.{ending}"))) == 1
+        assert len(list((tmp_path / "out" / "recordings").glob(f"*.{ending}"))) == 2
 
 
 def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
@@ -21,7 +21,7 @@ from dc2g_jax._src.training.image_pairs import MASK_SEEDS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions):
     """Reproduce Fig. 4: input, prediction and truth on whole and partial maps of test houses.
 
     The network may be of either kind.
