@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec as P
 
+from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions
 from dc2g_jax._src.cli.driving import DrivingOptions, equipment
-from dc2g_jax._src.cli.translation import TranslationOptions
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose

@@ -106,7 +106,7 @@ def test_a_shell_completes_commands_and_options(shell, tmp_path, monkeypatch, ca
     assert ended(monkeypatch, "--completion", shell) == 0
     script = tmp_path / "_dc2g"
     script.write_text(capsys.readouterr().out)
-    assert {"train", "train-translator"} <= {*completed(script, shell, "dc2g", "tr")}
+    assert {"draw", "demo"} <= {*completed(script, shell, "dc2g", "d")}
     assert {"check", "explore", "osm", "recording"} <= {*completed(script, shell, "dc2g", "map", "")}
     assert "--starts" in completed(script, shell, "dc2g", "run", "--st")
 

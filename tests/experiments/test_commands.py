@@ -28,7 +28,6 @@ from dc2g_jax._src.cli.commands import (
     run_episodes,
     sweep_losses,
     train,
-    train_translator,
 )
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
@@ -229,7 +228,7 @@ def test_lack_of_memory_is_one_line_that_names_the_option_to_lower(command, opti
     [
         (train, ["--dataset", "procedural"]),
         (sweep_losses, ["--dataset", "procedural"]),
-        (train_translator, ["--dataset", "procedural"]),
+        (reproduce_fig5, ["--dataset", "procedural"]),
         (objectnav_train, []),
     ],
 )
@@ -408,10 +407,11 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
 
 @pytest.mark.slow
 def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_path):
-    out, network = tmp_path / "run", tmp_path / "run" / "network"
+    network = tmp_path / "run" / "runs" / "l1+gan-seed0" / "network"
     first = run(
-        "train_translator", "--dataset", few_houses, "--size", 32, "--base-filters", 2, "--train-masks", 4,
-        "--validation-masks", 2, "--steps", 4, "--validate-every", 2, "--out", out,
+        "reproduce_fig5", "--dataset", few_houses, "--size", 32, "--base-filters", 2, "--train-masks", 4,
+        "--validation-masks", 2, "--steps", 4, "--validate-every", 2, "--losses", "l1+gan", "--seeds", 0,
+        "--out", tmp_path / "run",
     )  # fmt: skip
     assert first.returncode == 0, first.stderr
     assert "4 pairs of 1 houses" in first.stdout

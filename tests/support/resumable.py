@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli import episodes, searches, translation
+from dc2g_jax._src.cli import episodes, searches
 from dc2g_jax._src.cli.commands import (
     compare,
     head_to_head,
@@ -28,7 +28,6 @@ from dc2g_jax._src.cli.commands import (
     run_episodes,
     sweep_losses,
     train,
-    train_translator,
 )
 from dc2g_jax._src.cli.driving import DriveResult
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
@@ -257,28 +256,17 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
     return _command(sweep_losses, options)
 
 
-def _translator(patch: pytest.MonkeyPatch, steps: int) -> translation.TranslationOptions:
-    patch.setattr(translation, "supervised_step", fake_step)
-    patch.setattr(translation, "first_state", functools.cache(translation.first_state))
-    patch.setattr(translation, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
-    data = translation.TranslationData(trainings.image_set(), trainings.image_set())
-    for module in (train_translator, reproduce_fig5):
-        patch.setattr(module, "translation_data", lambda dataset, options: data)
-    return translation.TranslationOptions(
-        size=32, base_filters=2, steps=steps, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0
-    )
-
-
-def train_translator_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    options = train_translator.Options(dataset=dataset, out=folder, training=_translator(patch, 2))
-    return _command(train_translator, options)
-
-
 def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    patch.setattr(reproduce_fig5, "supervised_step", fake_step)
+    patch.setattr(reproduce_fig5, "first_state", functools.cache(reproduce_fig5.first_state))
+    patch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
+    data = reproduce_fig5.TranslationData(trainings.image_set(), trainings.image_set())
+    patch.setattr(reproduce_fig5, "translation_data", lambda dataset, options: data)
     patch.setattr(reproduce_fig5, "plot_training", fake_figure)
     options = reproduce_fig5.Options(
-        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), training=_translator(patch, 1)
-    )
+        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), size=32, base_filters=2, steps=2, batch_size=1,
+        validate_every=1, minutes_per_checkpoint=0.0,
+    )  # fmt: skip
     return _command(reproduce_fig5, options)
 
 
@@ -313,7 +301,7 @@ COMMANDS: dict[str, Callable[[str, Path, pytest.MonkeyPatch], Command]] = {
     each.__name__.rstrip("_"): each
     for each in (
         run_episodes_, reproduce_fig7_, compare_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
-        objectnav_table2_, train_, sweep_losses_, train_translator_, reproduce_fig5_, objectnav_train_,
+        objectnav_table2_, train_, sweep_losses_, reproduce_fig5_, objectnav_train_,
         objectnav_train_with_encoder_,
     )
 }  # fmt: skip

@@ -63,7 +63,7 @@ class Kind(NamedTuple):
 _KINDS: dict[type[TrainedNetwork], Kind] = {
     NetworkCostToGo: Kind(COMPACT_UNET, Architecture, network_class, CLASS_NAMES, "dc2g train"),
     TranslatorCostToGo: Kind(
-        "pix2pix", TranslatorArchitecture, lambda architecture: Generator, CLASS_NAMES, "dc2g train-translator"
+        "pix2pix", TranslatorArchitecture, lambda architecture: Generator, CLASS_NAMES, "dc2g fig5"
     ),
 }
 

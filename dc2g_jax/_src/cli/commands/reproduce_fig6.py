@@ -1,6 +1,6 @@
 """The paper's Fig. 6: cost-to-go images of whole test maps, against each map's distance from the training houses.
 
-`python -m experiments.reproduce_fig6 --network checkpoints/translator/network checkpoints/mine/network`
+`python -m experiments.reproduce_fig6 --network outputs/fig5/runs/l1+gan-seed0/network checkpoints/mine/network`
 """
 
 import dataclasses
