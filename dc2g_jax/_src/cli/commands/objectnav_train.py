@@ -14,7 +14,7 @@ import tyro
 
 from dc2g_jax._src.cli.common import check_seed, command_line
 from dc2g_jax._src.cli.options import TrainingOptions, require_positive
-from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
+from dc2g_jax._src.cli.outputs import CommandOptions, command_written, commit, output_folder
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, read_network, write_network
 from dc2g_jax._src.files.digests import tree_sha256
@@ -53,8 +53,19 @@ _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
 _VALIDATION_SEED = 1_000_003
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _CollectionOptions(CommandOptions):
+    """As `DataOptions`.
+
+    Attributes:
+      collection: samples to collect in the houses.
+    """
+
+    collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
+
+
 @dataclasses.dataclass(frozen=True)
-class Options(TrainingOptions, Pauses):
+class Options(TrainingOptions, Pauses, _CollectionOptions):
     """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
@@ -62,7 +73,6 @@ class Options(TrainingOptions, Pauses):
       count: number of training houses; by default all of a folder, or 500 procedural ones.
       strict: reject a file of houses at its first invalid line, instead of skipping the line.
       validation_houses: number of houses of the validation split.
-      collection: samples to collect in the houses.
       encoder: image encoder of another training, its folder `encoder`, which is copied to `out`; by default one is
         trained first.
       encoder_steps: optimizer steps of that encoder.
@@ -83,7 +93,6 @@ class Options(TrainingOptions, Pauses):
     count: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     strict: bool = False
     validation_houses: int = 20
-    collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
     encoder: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     encoder_steps: int = 3000
     recipe: Literal["better", "paper"] = "better"
