@@ -19,6 +19,13 @@ from dc2g_jax._src.planning.planners import (
     Planner as Planner,
     reachable_cells as reachable_cells,
 )
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner as ChoosingPlanner
+from dc2g_jax._src.planning.rivals.recurrent_policy import (
+    RecurrentNetwork as RecurrentNetwork,
+    RecurrentPolicy as RecurrentPolicy,
+    Surroundings as Surroundings,
+    read_policy as read_policy,
+)
 from dc2g_jax._src.planning.rules import (
     SETTINGS as SETTINGS,
     Rules as Rules,
@@ -28,10 +35,3 @@ from dc2g_jax._src.planning.rules import (
 )
 from dc2g_jax._src.planning.selection import ExpectedCost as ExpectedCost, QuantileCost as QuantileCost
 from dc2g_jax._src.programs import jit as jit
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner as ChoosingPlanner
-from dc2g_jax._src.rivals.recurrent_policy import (
-    RecurrentNetwork as RecurrentNetwork,
-    RecurrentPolicy as RecurrentPolicy,
-    Surroundings as Surroundings,
-    read_policy as read_policy,
-)

@@ -342,7 +342,7 @@ def learned_weights(options: Options, ppo: PPO) -> tuple[Any, Float[np.ndarray, 
 
 def save(path: Path, weights: Any) -> None:
     """Write a policy in half precision."""
-    write_safetensors(path, jax.tree.map(lambda leaf: np.asarray(leaf, np.float16), weights), {})
+    write_safetensors(path, jax.tree.map(lambda leaf: np.asarray(leaf, np.float16), weights))
 
 
 def training_maps(options: Options) -> list[House]:

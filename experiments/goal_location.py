@@ -247,7 +247,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "goal_location", inputs=digests(dataset))
     judge, facts = Judge(dataset), dict[str, Any]()
     sources: dict[str, Estimator] = {"exact cost_to_go": ExactCostToGo(), "exact distance": ExactDistance()}
-    masks = out / "masks.npz"
+    masks = out / "masks.safetensors"
     for seed in options.seeds:
         for label in LABELS:
             name = f"{label} {seed}"

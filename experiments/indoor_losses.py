@@ -1,6 +1,7 @@
 """Losses of the indoor network to compare with the paper's, and the comparison: `python -m experiments.indoor_losses`.
 
-Networks come from `dc2g objectnav train --loss experiments.indoor_losses:NAME`, all with the same `validation.npz`.
+Networks come from `dc2g objectnav train --loss experiments.indoor_losses:NAME`, all with the same samples in
+`validation.safetensors`.
 """
 
 import dataclasses
@@ -18,9 +19,10 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.weights import read_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
-from dc2g_jax._src.files.reading import read_arrays, read_object
+from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.grid.shifting import shifted
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
@@ -188,15 +190,14 @@ def main(options: Options) -> None:
     """Predict; print and write the table."""
     if options.maps < _BATCH or options.maps % _BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {_BATCH}")
-    digests = {tree_sha256([(folder / "validation.npz").read_bytes()]) for folder in options.networks}
+    digests = {tree_sha256([(folder / "validation.safetensors").read_bytes()]) for folder in options.networks}
     if len(digests) > 1:
-        raise InputError("--networks: their validation.npz differ; train all with the same data and encoder")
+        raise InputError("--networks: their validation.safetensors differ; train all with the same data and encoder")
     losses = [read_object(folder / "network.json", "train it again")["loss"] for folder in options.networks]
     if "paper" not in losses:
         raise InputError("--networks: give one that was trained with the paper's loss, to compare with")
     out = output_folder(options, "indoor_losses")
-    path, names = options.networks[0] / "validation.npz", [field.name for field in dataclasses.fields(JourneySet)]
-    arrays = read_arrays(path, names, "train the network again")
+    arrays = read_safetensors(options.networks[0] / "validation.safetensors", "train the network again")
     data = JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
     houses = range(len(data.cells))
     found: dict[str, list[list[dict[str, float]]]] = {}

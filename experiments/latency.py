@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line, network_for
-from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
@@ -24,7 +24,7 @@ from .benchmarks.workload import make_workload, resized
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions):
     """Time the planner's decisions, one call at a time, in whole episodes.
 
     Attributes:

@@ -25,10 +25,10 @@ from PIL import Image
 
 from dc2g_jax._src.cli.outputs import _read_run
 from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
-from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network, write_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.estimation.weights import fresh_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
@@ -40,18 +40,12 @@ from dc2g_jax._src.readers.starts import read_starts
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
-from dc2g_jax._src.search_indoors.learning.networks import (
-    CostMapArchitecture,
-    CostMapNetwork,
-    load_costs,
-    save_costs,
-)
-from dc2g_jax._src.training.cost_to_go_data import check_masks
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
+from dc2g_jax._src.search_indoors.learning.networks import COST_MAPS, CostMapArchitecture, CostMapNetwork, load_costs
+from dc2g_jax._src.training.cost_to_go_data import check_masks, kept_arrays
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.tracking import Curve
-from dc2g_jax._src.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame
@@ -147,8 +141,8 @@ def write_compact(folder: Path) -> None:
 def write_indoor(folder: Path) -> None:
     architecture = CostMapArchitecture(widths=(3, 4), embedding=2, features=3, feature_width=3)
     small = EncoderArchitecture((2, 2, 2), features=3)
-    write_network(folder / "encoder.safetensors", fresh_weights(SmallEncoder, small, KEY), small, {})
-    save_costs(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, {})
+    write_network(folder / "encoder", fresh_weights(SmallEncoder, small, KEY), small, ENCODER)
+    write_network(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, COST_MAPS)
 
 
 def write_run(folder: Path) -> None:
@@ -175,12 +169,13 @@ def read_episodes(folder: Path) -> None:
 
 
 def write_masks(folder: Path) -> None:
-    np.savez(folder / "masks.npz", boards=np.ones((3, 1, 8), np.uint32), world=np.array([0, 1, 1]))
+    masks = {"boards": np.ones((3, 1, 8), np.uint32), "world": np.array([0, 1, 1])}
+    write_safetensors(folder / "masks.safetensors", masks)
 
 
 def read_masks(folder: Path) -> None:
-    arrays = kept_arrays(folder / "masks.npz", Masks._fields, lambda show: {}, unit="rollout")
-    check_masks(Masks(**arrays), DATASET.houses[:2], "masks.npz")
+    arrays = kept_arrays(folder / "masks.safetensors", Masks._fields, lambda show: {}, unit="rollout")
+    check_masks(Masks(**arrays), DATASET.houses[:2], "masks.safetensors")
 
 
 def write_indoor_houses(folder: Path) -> None:
@@ -228,12 +223,17 @@ READERS = (
     ),
     Reader(("starts.csv",), write_starts, lambda folder: read_starts(folder / "starts.csv", DATASET)),
     Reader(("network.json", "weights.safetensors"), write_compact, network_in_folder, slow=True),
-    Reader(("network.safetensors", "encoder.safetensors"), write_indoor, load_costs, slow=True),
+    Reader(
+        ("network.json", "weights.safetensors", "encoder/network.json", "encoder/weights.safetensors"),
+        write_indoor,
+        load_costs,
+        slow=True,
+    ),
     Reader(("run.json",), write_run, _read_run),
     Reader(("log.jsonl",), write_log, lambda folder: Log(folder).by_step(None, ("error",))),
     Reader(("curve.csv",), write_curve, lambda folder: Curve(folder, ("a", "b"))),
     Reader(("episodes.csv",), write_episodes, read_episodes),
-    Reader(("masks.npz",), write_masks, read_masks),
+    Reader(("masks.safetensors",), write_masks, read_masks),
     Reader(("train.jsonl", "train.jsonl.gz", "asset_boxes.json"), write_indoor_houses, read_indoor_houses),
     Reader(EXTRACTS, write_extracts, read_extracts, slow=True),
 )  # fmt: skip

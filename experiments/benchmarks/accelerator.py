@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from dc2g_jax._src.cli.translation import TranslationOptions
+from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset

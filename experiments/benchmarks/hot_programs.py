@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec as P
 
+from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions
 from dc2g_jax._src.cli.driving import DrivingOptions, equipment
-from dc2g_jax._src.cli.translation import TranslationOptions
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
@@ -142,8 +142,7 @@ def training_program(
         mask_world=_array(_MASKS),
         n_own=_array(),
     )
-    init = functools.partial(cost_to_go.init_state, config.recipe)
-    one = jax.eval_shape(lambda numbers: (init(numbers), numbers), config.hyperparameters)
+    one = jax.eval_shape(lambda: (cost_to_go.first_state(config), config.hyperparameters))
     state, numbers = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
     training = CostToGoTraining(config.recipe, DataConfig().draw_batch)
     return _step_program(part, training, data, state, numbers, mesh, runs if runs > 1 else config.batch_size)
@@ -195,7 +194,7 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         true_distance=None,
     )
     own = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
-    return _robots_steps(searches.at_start, searches.TIME_LIMIT, leg, own, sites, agent, mesh)
+    return _robots_steps(searches.reset, searches.TIME_LIMIT, leg, own, sites, agent, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:

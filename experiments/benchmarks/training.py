@@ -15,8 +15,8 @@ from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig, first_state
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.pairs import TrainingSet
-from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
-from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
+from dc2g_jax._src.training.step import TrainingState, placed, stacked, supervised_step
+from dc2g_jax._src.training.sweeps import stacked_hyperparameters
 
 from .bench import Bench, own
 from .rows import Row
@@ -71,10 +71,12 @@ def training_rows(
                 losses.append(loss)
         return losses
 
-    stacked = stacked_hyperparameters(configs)
+    def firsts() -> list[TrainingState]:
+        return [first_state(each) for each in configs]
+
     begun: dict[str, Callable[[], tuple[list[TrainingState], list[Hyperparameters]]]] = {
-        "together": lambda: ([init_states(configs[0].recipe, stacked)], [stacked]),
-        "one after another": lambda: ([first_state(each) for each in configs], [c.hyperparameters for c in configs]),
+        "together": lambda: ([stacked(firsts())], [stacked_hyperparameters(configs)]),
+        "one after another": lambda: (firsts(), [each.hyperparameters for each in configs]),
     }
     for way in ways:
         row = own("training", f"{n_runs} runs {way}", "runs/h", batch=batch, cells=bench.workload.cells)

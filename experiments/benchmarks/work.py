@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun, jaxprs_in_params
 
@@ -123,13 +124,13 @@ class _Counter:
         name, params = equation.primitive.name, equation.params
         if name == "while":
             return self._loop(params, inputs)
+        if name == "scan":
+            return self._scan(params, inputs)
         if name == "cond":
             index, *operands = inputs
             return self.call(params["branches"][int(index)], operands)
         if name in _CALLS and isinstance(params.get(_CALLS[name]), ClosedJaxpr):
             return self.call(params[_CALLS[name]], inputs)
-        if name == "scan" and _branches(params["jaxpr"].jaxpr):
-            return self._scan(params, inputs)
         if any(_branches(inner) for inner in jaxprs_in_params(params)):
             raise NotImplementedError(f"cannot count inside {name}")
         straight = jax.make_jaxpr(lambda *values: equation.primitive.bind(*values, **params))(*inputs)
@@ -149,14 +150,18 @@ class _Counter:
         return carry
 
     def _scan(self, params: dict[str, Any], inputs: list[Any]) -> list[Any]:
-        n_consts, n_carry, turns = params["num_consts"], params["num_carry"], range(params["length"])
-        consts, carry, rows = inputs[:n_consts], inputs[n_consts : n_consts + n_carry], inputs[n_consts + n_carry :]
-        made = {}
-        for turn in reversed(turns) if params["reverse"] else turns:
-            outputs = self.call(params["jaxpr"], [*consts, *carry, *(row[turn] for row in rows)])
-            carry, made[turn] = outputs[:n_carry], outputs[n_carry:]
+        n_consts, n_carry = params["num_consts"], params["num_carry"]
+        consts, carry, given = inputs[:n_consts], inputs[n_consts : n_consts + n_carry], inputs[n_consts + n_carry :]
+        rows = range(params["length"])
+        made = []
+        for row in reversed(rows) if params["reverse"] else rows:
+            found = self.call(params["jaxpr"], [*consts, *carry, *(leaf[row] for leaf in given)])
+            carry = found[:n_carry]
+            made.append(found[n_carry:])
             self.work = self.work.plus(Work(0, 0, 1))
-        return [*carry, *(np.stack(values) for values in zip(*(made[turn] for turn in turns), strict=True))]
+        if params["reverse"]:
+            made.reverse()
+        return [*carry, *map(jnp.stack, zip(*made, strict=True))]
 
 
 def count_work(function: Callable[..., Any], *arguments: Any) -> Work:

@@ -44,13 +44,15 @@ def test_the_list_of_commands_loads_nothing(monkeypatch, capsys):
     assert capsys.readouterr().out == shown
 
 
-@pytest.mark.parametrize("name", ["fig7", "map check", "train"])
-def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypatch, capsys):
+@pytest.mark.parametrize(("name", "is_shared"), [("fig7", True), ("map explore", False), ("train", True)])
+def test_help_names_the_command_as_it_is_typed_and_machines_last(name, is_shared, monkeypatch, capsys):
     assert ended(monkeypatch, *name.split(), "--help") == 0
     shown = capsys.readouterr().out
     assert f"usage: dc2g {name} " in shown
     assert not re.search(r"\{None\}\||experiments\.", shown)
-    assert "machine" not in re.findall(r"(\w+) options \W", shown)[:-1]
+    groups = re.findall(r"(\w+) options \W", shown)
+    assert "machine" not in groups[:-1]
+    assert ("machine" in groups) == is_shared
 
 
 @pytest.mark.parametrize(
@@ -104,7 +106,7 @@ def test_a_shell_completes_commands_and_options(shell, tmp_path, monkeypatch, ca
     assert ended(monkeypatch, "--completion", shell) == 0
     script = tmp_path / "_dc2g"
     script.write_text(capsys.readouterr().out)
-    assert {"train", "train-translator"} <= {*completed(script, shell, "dc2g", "tr")}
+    assert {"draw", "demo"} <= {*completed(script, shell, "dc2g", "d")}
     assert {"check", "explore", "osm", "recording"} <= {*completed(script, shell, "dc2g", "map", "")}
     assert "--starts" in completed(script, shell, "dc2g", "run", "--st")
 

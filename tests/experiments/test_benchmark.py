@@ -213,8 +213,11 @@ def test_work_is_counted_through_loops():
     assert count_work(lambda a, b: a & b, x, mask) == Work(operations=8, bytes=3 * 32, turns=0)
     nested = jax.jit(lambda a, b: jax.lax.fori_loop(0, a[0].astype(jnp.int32), lambda _, c: countdown(c, b), a))
     assert count_work(nested, jnp.full(8, 1, jnp.uint32), mask).turns == 2
-    rows = jnp.stack([x, x, x])
-    assert count_work(lambda rows, b: jax.lax.map(lambda row: countdown(row, b), rows), rows, mask).turns == 3 * (5 + 1)
+
+    def one_after_another(rows: jax.Array) -> jax.Array:
+        return jax.lax.scan(lambda count, row: (count + 1, countdown(row, mask)), 0, rows)[1]
+
+    assert count_work(one_after_another, jnp.stack([x, x - 2])).turns == 2 + 5 + 3
     assert equations(jax.make_jaxpr(countdown)(x, mask).jaxpr) > 4
 
 

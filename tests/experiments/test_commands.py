@@ -28,11 +28,11 @@ from dc2g_jax._src.cli.commands import (
     run_episodes,
     sweep_losses,
     train,
-    train_translator,
 )
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from dc2g_jax._src.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
 from dc2g_jax._src.readers.houses import load_dataset
@@ -231,7 +231,7 @@ def test_lack_of_memory_is_one_line_that_names_the_option_to_lower(command, opti
     [
         (train, ["--dataset", "procedural"]),
         (sweep_losses, ["--dataset", "procedural"]),
-        (train_translator, ["--dataset", "procedural"]),
+        (reproduce_fig5, ["--dataset", "procedural"]),
         (objectnav_train, []),
     ],
 )
@@ -363,10 +363,10 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     assert "begun with --seed 0, now it is 7" in changed
     facts = json.loads((out / "run.json").read_text())
     assert facts["inputs"] == {"dataset": load_dataset(few_houses).sha256}
-    with np.load(out / "masks.npz") as masks:
-        np.savez(out / "masks.npz", boards=masks["boards"][:, :, 1:], world=masks["world"])
+    masks = read_safetensors(out / "masks.safetensors")
+    write_safetensors(out / "masks.safetensors", masks | {"boards": masks["boards"][:, :, 1:]})
     other = complaint(run(*options, "--resume"))
-    assert "masks.npz" in other
+    assert "masks.safetensors" in other
     assert "uint32[2, 49]" in other
     result = run(
         "reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--network", out / "network",
@@ -411,10 +411,11 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
 
 @pytest.mark.slow
 def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_path):
-    out, network = tmp_path / "run", tmp_path / "run" / "network"
+    network = tmp_path / "run" / "runs" / "l1+gan-seed0" / "network"
     first = run(
-        "train_translator", "--dataset", few_houses, "--size", 32, "--base-filters", 2, "--train-masks", 4,
-        "--validation-masks", 2, "--steps", 4, "--validate-every", 2, "--out", out,
+        "reproduce_fig5", "--dataset", few_houses, "--size", 32, "--base-filters", 2, "--train-masks", 4,
+        "--validation-masks", 2, "--steps", 4, "--validate-every", 2, "--losses", "l1+gan", "--seeds", 0,
+        "--out", tmp_path / "run",
     )  # fmt: skip
     assert first.returncode == 0, first.stderr
     assert "4 pairs of 1 houses" in first.stdout

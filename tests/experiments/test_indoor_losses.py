@@ -74,10 +74,10 @@ def test_bends_and_hollows_by_hand(seed):
 def test_networks_of_other_data_and_without_the_papers_loss_are_refused(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "validation.npz").write_bytes(name.encode())
+        (tmp_path / name / "validation.safetensors").write_bytes(name.encode())
         (tmp_path / name / "network.json").write_text(json.dumps({"loss": "experiments.indoor_losses:one_map"}))
     both = tuple(tmp_path / name for name in ("a", "b"))
-    refusal(lambda: main(Options(networks=both, out=tmp_path / "out")), "validation.npz", "same data")
-    shutil.copyfile(both[0] / "validation.npz", both[1] / "validation.npz")
+    refusal(lambda: main(Options(networks=both, out=tmp_path / "out")), "validation.safetensors", "same data")
+    shutil.copyfile(both[0] / "validation.safetensors", both[1] / "validation.safetensors")
     refusal(lambda: main(Options(networks=both, out=tmp_path / "out")), "paper's loss")
     refusal(lambda: main(Options(networks=both, out=tmp_path / "out", maps=20)), "--maps 20", "multiple of 16")

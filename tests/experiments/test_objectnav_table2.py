@@ -9,22 +9,22 @@ import pytest
 from dc2g_jax._src.cli import searches
 from dc2g_jax._src.cli.commands import objectnav_table2
 from dc2g_jax._src.cli.commands.objectnav_table2 import Options, main
-from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.estimation.checkpoints import write_network
+from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
-    ABLATIONS,
-    ENCODER_FILE,
+    COST_MAPS,
+    ENCODER_FOLDER,
     CostMapArchitecture,
     CostMapNetwork,
-    save_costs,
 )
 from dc2g_jax._src.search_indoors.search.evaluation import METRICS
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
 KEY = jax.random.key(0)
-SMALL = CostMapArchitecture(widths=(4, 4), embedding=4, features=7, feature_width=3, inputs=ABLATIONS["both"])
+SMALL = CostMapArchitecture(widths=(4, 4), embedding=4, features=7, feature_width=3)
 
 
 @pytest.fixture
@@ -33,11 +33,10 @@ def folders(tmp_path):
     made = []
     for name in ("semantic", "both"):
         folder = tmp_path / name
-        folder.mkdir()
         small = EncoderArchitecture((4, 5, 6), features=7)
-        write_network(folder / ENCODER_FILE, fresh_weights(SmallEncoder, small, KEY), small, {})
-        architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
-        save_costs(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, {})
+        write_network(folder / ENCODER_FOLDER, fresh_weights(SmallEncoder, small, KEY), small, ENCODER)
+        architecture = dataclasses.replace(SMALL, inputs=name)
+        write_network(folder, fresh_weights(CostMapNetwork, architecture, KEY), architecture, COST_MAPS)
         made.append(folder)
     return tuple(made)
 
@@ -69,7 +68,7 @@ def test_it_compares_what_networks_are_shown(options, capsys):
     assert set(facts["differences"]) == {"semantic"}
 
     weights = fresh_weights(CostMapNetwork, SMALL, jax.random.key(1))
-    save_costs(options.networks[1], weights, SMALL, {})
+    write_network(options.networks[1], weights, SMALL, COST_MAPS)
     again = dataclasses.replace(options, resume=True)
     refusal(lambda: main(again), options.out, "--networks", "has changed")
 

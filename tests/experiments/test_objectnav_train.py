@@ -1,16 +1,15 @@
 """The command that trains the indoor network, on a house of two rooms."""
 
 import dataclasses
-import hashlib
 import json
 
-import numpy as np
 import pytest
 
 from dc2g_jax._src.cli.commands import objectnav_train
 from dc2g_jax._src.cli.commands.objectnav_train import Options, main
+from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
-from dc2g_jax._src.search_indoors.learning.networks import ENCODER_FILE, NETWORK_FILE, load_costs
+from dc2g_jax._src.search_indoors.learning.networks import ENCODER_FOLDER, load_costs
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -32,22 +31,23 @@ def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was
     assert estimator.architecture.widths == (4, 4)
     card = json.loads((options.out / "network.json").read_text())
     assert card["validation"]["step"] == 2
-    for name in (NETWORK_FILE, ENCODER_FILE):
-        assert card["sha256"][name] == hashlib.sha256((options.out / name).read_bytes()).hexdigest()
     log = (options.out / "log.jsonl").read_text()
     main(dataclasses.replace(options, resume=True))
     assert (options.out / "log.jsonl").read_text() == log
 
-    taken = dataclasses.replace(options, out=options.out.parent / "other", encoder=options.out / ENCODER_FILE)
+    taken = dataclasses.replace(options, out=options.out.parent / "other", encoder=options.out / ENCODER_FOLDER)
     main(taken)
-    np.testing.assert_array_equal((taken.out / ENCODER_FILE).read_bytes(), (options.out / ENCODER_FILE).read_bytes())
-    (options.out / ENCODER_FILE).unlink()
+    for name in (CARD, WEIGHTS):
+        given, copied = (one.out / ENCODER_FOLDER / name for one in (options, taken))
+        assert copied.read_bytes() == given.read_bytes()
+        given.unlink()
     main(dataclasses.replace(taken, resume=True))  # has its own copy
 
 
 def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(options, tmp_path):
-    wrong = tmp_path / "wrong.safetensors"
-    wrong.write_bytes(b"nothing")
+    wrong = tmp_path / "wrong"
+    wrong.mkdir()
+    (wrong / CARD).write_bytes(b"nothing")
     refusal(lambda: main(dataclasses.replace(options, encoder=wrong)), wrong)
     refusal(lambda: main(dataclasses.replace(options, count=0)), "--count 0", "1 or more")
     refusal(lambda: main(dataclasses.replace(options, patch=3)), "--patch 3", "give")
@@ -58,8 +58,8 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     collection = dataclasses.replace(options.collection, data_seed=2**64)
     refusal(lambda: main(dataclasses.replace(options, collection=collection)), "--data-seed", "give")
     assert not options.out.exists()
-    damaged = tmp_path / "data.npz"
-    damaged.write_bytes(b"PK\x03\x04garbage")
+    damaged = tmp_path / "data.safetensors"
+    damaged.write_bytes(b"garbage")
     refusal(lambda: objectnav_train.kept(damaged, lambda report: None, 1), damaged, "delete it")
     refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "--widths 4", "at least two")
 

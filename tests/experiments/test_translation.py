@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli import translation
-from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5, train_translator as train_translator_command
-from dc2g_jax._src.cli.translation import TranslationOptions, train_translators, translation_data
+from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5
+from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions, train_translators, translation_data
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.readers.houses import HouseDataset
@@ -53,14 +52,14 @@ def steps(monkeypatch):
         taken.append(number)
         return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
 
-    monkeypatch.setattr(translation, "supervised_step", step)
-    monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
+    monkeypatch.setattr(reproduce_fig5, "supervised_step", step)
+    monkeypatch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: dict(METRICS))
     return taken, trouble
 
 
 def train(out, dataset, **changes) -> None:
     options = dataclasses.replace(OPTIONS, **changes)
-    train_translators(out, {"": 0}, dataset, translation_data(dataset, options), options.config("l1"), options)
+    train_translators(out, {"run": 0}, dataset, translation_data(dataset, options), options.config("l1"), options)
 
 
 @pytest.mark.usefixtures("interruptible")
@@ -68,53 +67,53 @@ def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
     taken, trouble = steps
     trouble[17] = KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt):
-        train(tmp_path / "run", dataset)
+        train(tmp_path, dataset)
     assert taken == list(range(18))  # the step that was under way is finished
-    train(tmp_path / "run", dataset)
+    train(tmp_path, dataset)
     assert taken == list(range(30))
-    log = Log(tmp_path / "run").by_step()
+    log = Log(tmp_path).by_step("run")
     assert list(log) == [10, 20, 30]
-    assert log[30] == {"step": 30, "train_l1": 0.5, **METRICS, "low_precision": None}
-    assert (tmp_path / "run" / "network" / "network.json").is_file()
+    assert log[30] == {"run": "run", "step": 30, "train_l1": 0.5, **METRICS, "low_precision": None}
+    assert (tmp_path / "runs" / "run" / "network" / "network.json").is_file()
     with pytest.raises(InputError, match="train_masks was 5"):
-        train(tmp_path / "run", dataset, train_masks=4)
+        train(tmp_path, dataset, train_masks=4)
 
 
 def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
     for count in (20, 40):
-        train(tmp_path / "run", dataset, steps=count)
+        train(tmp_path, dataset, steps=count)
     assert steps[0] == list(range(40))
-    assert list(Log(tmp_path / "run").by_step()) == [10, 20, 30, 40]
-    with pytest.raises(InputError, match=r"run: has 40 steps behind it; give at least as many --steps"):
-        train(tmp_path / "run", dataset, steps=30)
+    assert list(Log(tmp_path).by_step("run")) == [10, 20, 30, 40]
 
 
 def test_a_run_that_is_refused_fewer_steps_stays_as_it_is(dataset, tmp_path, steps, monkeypatch):
-    monkeypatch.setattr(train_translator_command, "open_dataset", lambda location, *, cells: dataset)
-    options = train_translator_command.Options(
-        out=tmp_path / "run", loss="l1", training=dataclasses.replace(OPTIONS, steps=20)
+    monkeypatch.setattr(reproduce_fig5, "open_dataset", lambda location, *, cells: dataset)
+    options = reproduce_fig5.Options(
+        out=tmp_path / "run", losses=("l1",), seeds=(0,), **dataclasses.asdict(dataclasses.replace(OPTIONS, steps=20))
     )
-    train_translator_command.main(options)
-    longer = dataclasses.replace(options, resume=True, training=OPTIONS)
-    train_translator_command.main(longer)
+    reproduce_fig5.main(options)
+    longer = dataclasses.replace(options, resume=True, steps=OPTIONS.steps)
+    reproduce_fig5.main(longer)
     written = (tmp_path / "run" / "run.json").read_bytes()
     assert len(json.loads(written)["runs"]) == 2
-    with pytest.raises(InputError, match=r"run: has 30 steps behind it"):
-        train_translator_command.main(dataclasses.replace(options, resume=True))
+    with pytest.raises(InputError, match=r"l1-seed0: has 30 steps behind it; give at least as many --steps"):
+        reproduce_fig5.main(dataclasses.replace(options, resume=True))
     assert (tmp_path / "run" / "run.json").read_bytes() == written
     assert steps[0] == list(range(30))
 
 
 def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
     steps[1][12] = np.nan
-    with pytest.raises(InputError, match=r"run: .* nan at step 20; lower --learning-rate"):
-        train(tmp_path / "run", dataset)
-    assert list(Log(tmp_path / "run").by_step()) == [10]
+    with pytest.raises(InputError, match=r"nan at step 20; lower --learning-rate"):
+        train(tmp_path, dataset)
+    assert list(Log(tmp_path).by_step("run")) == [10]
 
 
 def test_figure_5_goes_on_with_the_runs_that_are_there(dataset, tmp_path, steps, monkeypatch):
     monkeypatch.setattr(reproduce_fig5, "open_dataset", lambda location, *, cells: dataset)
-    options = reproduce_fig5.Options(out=tmp_path / "fig5", losses=("l1", "l1+gan"), seeds=(0, 3), training=OPTIONS)
+    options = reproduce_fig5.Options(
+        out=tmp_path / "fig5", losses=("l1", "l1+gan"), seeds=(0, 3), **dataclasses.asdict(OPTIONS)
+    )
     reproduce_fig5.main(options)
     reproduce_fig5.main(dataclasses.replace(options, resume=True))
     assert steps[0] == 4 * list(range(30))
@@ -156,7 +155,7 @@ def test_networks_that_cannot_be_built_are_refused_in_one_line():
 
 @pytest.mark.slow
 def test_runs_trained_together_are_those_trained_alone(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
+    monkeypatch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: dict(METRICS))
     options, seeds = dataclasses.replace(OPTIONS, steps=2, validate_every=1), {"a": 3, "b": 4}
     data = translation_data(dataset, options)
     for run, seed in seeds.items():

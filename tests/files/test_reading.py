@@ -1,12 +1,9 @@
 """What others made is read within a budget: kind and size first, then types, then values."""
 
-import contextlib
 import io
 import itertools
-import json
 import os
 import time
-import zipfile
 
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from dc2g_jax._src.files.reading import (
     number,
     parse_json,
     read_array,
-    read_arrays,
     read_bytes,
     read_lines,
     read_object,
@@ -178,25 +174,3 @@ def declaring(shape: str, dtype: str = "<i8") -> bytes:
 def test_arrays_that_are_not_read(tmp_path, data, mention):
     (tmp_path / "a.npy").write_bytes(data)
     refusal(lambda: read_array(tmp_path / "a.npy", REMEDY), tmp_path / "a.npy", "not a plain array", mention, REMEDY)
-
-
-def test_archives_of_arrays(tmp_path):
-    path = tmp_path / "a.npz"
-    arrays = {"boards": np.arange(6, dtype=np.uint32).reshape(2, 3), "world": np.array([0, 1])}
-    np.savez(path, **arrays)
-    found = read_arrays(path, ("world", "boards"), REMEDY)
-    assert list(found) == ["world", "boards"]
-    for name, array in found.items():
-        np.testing.assert_array_equal(array, arrays[name])
-    refusal(lambda: read_arrays(path, ("worlds",), REMEDY), path, "worlds.npy", REMEDY)
-    whole = path.read_bytes()
-    for position in range(len(whole)):
-        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x10]) + whole[position + 1 :])
-        with contextlib.suppress(InputError):  # only what is no part of the arrays may change
-            again = read_arrays(path, ("world", "boards"), REMEDY)
-            assert all(np.array_equal(again[name], arrays[name]) for name in again)
-    np.savez_compressed(path, world=np.zeros(10**7))
-    refusal(lambda: read_arrays(path, ("world",), REMEDY), path, "compressed", REMEDY)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("world.npy", json.dumps({}))
-    refusal(lambda: read_arrays(path, ("world",), REMEDY), path, "magic", REMEDY)

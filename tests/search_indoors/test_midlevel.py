@@ -5,19 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax._src.estimation.weights import read_safetensors, write_network, write_safetensors
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, write_network
 from dc2g_jax._src.mapping.camera import level_camera
 from dc2g_jax._src.rollouts.devices import mesh_of
 from dc2g_jax._src.search_indoors.houses.plans import world_from_plan
 from dc2g_jax._src.search_indoors.houses.worlds import painted, scene
 from dc2g_jax._src.search_indoors.learning import training
 from dc2g_jax._src.search_indoors.learning.midlevel import (
+    ENCODER,
     Answers,
     EncoderArchitecture,
     TrainedEncoder,
     load_encoder,
 )
+from dc2g_jax._src.search_indoors.learning.networks import load_costs
 from dc2g_jax._src.search_indoors.learning.training import EncoderTraining, encoder_task, task_losses
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
 from dc2g_jax._src.search_indoors.maps.classes import BED, OBJECT_COLORS
@@ -121,14 +122,12 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, 
 
 
 def test_the_encoder_comes_back_from_its_file(views, trained, tmp_path):
-    encoder, path = trained[0], tmp_path / "encoder.safetensors"
-    write_network(path, encoder.weights, encoder.architecture, {"made": "here"})
-    loaded = load_encoder(path)
+    encoder = trained[0]
+    write_network(tmp_path, encoder.weights, encoder.architecture, ENCODER)
+    loaded = load_encoder(tmp_path)
     assert loaded.architecture == ARCHITECTURE
     features = encoder.encode(views.image)
     assert features.shape == (2, 5)
     assert not np.allclose(features[0], features[1], atol=1e-2)
     np.testing.assert_allclose(loaded.encode(views.image), features, atol=1e-2)
-    tensors, facts = read_safetensors(path)
-    write_safetensors(path, tensors, facts | {"architecture": "none"})
-    refusal(lambda: load_encoder(path), path, "architecture")
+    refusal(lambda: load_costs(tmp_path), tmp_path / CARD, "'encoder'", "cost_maps", "dc2g objectnav train")

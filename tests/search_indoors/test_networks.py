@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import hashlib
 import json
 import math
 
@@ -11,30 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation.weights import (
-    fresh_weights,
-    read_safetensors,
-    shapes_of_weights,
-    write_network,
-    write_safetensors,
-)
+from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, write_network
+from dc2g_jax._src.estimation.weights import fresh_weights, shapes_of_weights
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning import networks
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
-    ABLATIONS,
     BINS,
-    ENCODER_FILE,
-    NETWORK_FILE,
+    COST_MAPS,
+    ENCODER_FOLDER,
     CostMapArchitecture,
     CostMapNetwork,
     Prediction,
     bin_regions,
-    fused_cost,
     heading_bin,
     load_costs,
     oriented_features,
-    save_costs,
 )
 from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from tests.support.refusals import refusal
@@ -95,8 +86,8 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     maps[:, semantic] = 1 - maps[:, semantic]
     other_features = {"features": -question[3], "heading": question[2] + 2}
     for inputs, unseen, seen in (
-        (ABLATIONS["semantic"], other_features, {"maps": maps}),
-        (ABLATIONS["midlevel"], {"maps": maps}, other_features),
+        ("semantic", other_features, {"maps": maps}),
+        ("midlevel", {"maps": maps}, other_features),
     ):
         answer = answers(inputs, weights, question)
         np.testing.assert_array_equal(answers(inputs, weights, question, **unseen), answer)
@@ -105,8 +96,8 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     maps = question[0].copy()
     maps[:, ~semantic] = 1 - maps[:, ~semantic]
     assert not np.allclose(
-        answers(ABLATIONS["midlevel"], weights, question, maps=maps),
-        answers(ABLATIONS["midlevel"], weights, question),
+        answers("midlevel", weights, question, maps=maps),
+        answers("midlevel", weights, question),
     )
 
 
@@ -129,8 +120,7 @@ def test_features_lie_where_the_robot_looks():
 
 def test_occupied_cells_lie_over_the_cost():
     prediction = Prediction(jnp.asarray([[-1.0, 1.0]]), jnp.asarray([[0.3, 0.4]]))
-    occupancy, cost = prediction.occupancy, prediction.cost
-    np.testing.assert_array_equal(fused_cost(occupancy, cost), np.float32([[0.3, np.inf]]))
+    np.testing.assert_array_equal(prediction.fused_cost, np.float32([[0.3, np.inf]]))
 
 
 def test_the_default_is_small():
@@ -140,9 +130,11 @@ def test_the_default_is_small():
     assert sum(sizes) <= 2_000_000
 
 
-@pytest.mark.parametrize("change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}])
-def test_numbers_without_sense_are_refused(change):
-    with pytest.raises(ValueError, match="give at least"):
+@pytest.mark.parametrize(
+    "change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}, {"inputs": "all"}]
+)
+def test_architectures_without_sense_are_refused(change):
+    with pytest.raises(ValueError, match=r"give at least|use one of"):
         dataclasses.replace(SMALL, **change)
 
 
@@ -150,8 +142,9 @@ def test_numbers_without_sense_are_refused(change):
 def folder(weights, tmp_path):
     """A network beside its encoder."""
     small = EncoderArchitecture((4, 5, 6), features=5)
-    write_network(tmp_path / ENCODER_FILE, fresh_weights(SmallEncoder, small, jax.random.key(0)), small, {})
-    save_costs(tmp_path, weights, SMALL, {"houses": "own"})
+    encoder = fresh_weights(SmallEncoder, small, jax.random.key(0))
+    write_network(tmp_path / ENCODER_FOLDER, encoder, small, ENCODER)
+    write_network(tmp_path, weights, SMALL, COST_MAPS, {"houses": "own"})
     return tmp_path
 
 
@@ -177,32 +170,22 @@ def test_estimated_costs_are_meters_beyond_the_best_cell_where_nothing_is_in_the
     np.testing.assert_allclose(found[free], 10 * (cost - cost[free].min())[free], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("shipped", [True, False])
-def test_the_card_has_the_digests_of_the_files(shipped, folder):
-    folder = resource("weights/cost_maps_indoors") if shipped else folder
-    card = json.loads((folder / "network.json").read_text())
-    assert set(card["sha256"]) == {NETWORK_FILE, ENCODER_FILE}
-    for name, digest in card["sha256"].items():
-        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-    assert load_costs(folder).architecture.inputs == ABLATIONS["both"]
-    assert shipped or card["houses"] == "own"
-    assert sum(path.stat().st_size for path in folder.iterdir()) <= 8e6
+def test_the_shipped_network_is_small():
+    assert load_costs().architecture.inputs == "both"
+    assert sum(path.stat().st_size for path in resource("weights/cost_maps_indoors").rglob("*")) <= 8e6
 
 
-def test_files_that_are_no_network_are_refused(weights, folder):
-    path = folder / NETWORK_FILE
-    tensors, facts = read_safetensors(path)
-    for changed, said in (
-        ({}, "no network"),
-        (facts | {"card": '{"classes": ["nothing"]}'}, "classes"),
-        (facts | {"card": json.dumps(json.loads(facts["card"]) | {"cell_size": 0.05})}, "cells of 0.05 m"),
-    ):
-        write_safetensors(path, tensors, changed)
-        refusal(lambda: load_costs(folder), path, said)
-    write_safetensors(path, {name: tensors[name] for name in list(tensors)[1:]}, facts)
-    refusal(lambda: load_costs(folder), path, next(iter(tensors)), "none")
+def test_folders_without_a_network_of_this_kind_are_refused(weights, folder):
+    card = folder / CARD
+    facts = json.loads(card.read_text())
+    assert facts["houses"] == "own"
+    for changed, said in (({"classes": ["nothing"]}, "classes"), ({"cell_size": 0.05}, "cells of 0.05 m")):
+        card.write_text(json.dumps(facts | changed))
+        refusal(lambda: load_costs(folder), folder, said)
+    write_network(folder, {name: weights[name] for name in list(weights)[1:]}, SMALL, COST_MAPS)
+    refusal(lambda: load_costs(folder), folder / WEIGHTS, next(iter(weights)), "none")
     other = dataclasses.replace(SMALL, features=4)
-    save_costs(folder, fresh_weights(CostMapNetwork, other, jax.random.key(0)), other, {})
+    write_network(folder, fresh_weights(CostMapNetwork, other, jax.random.key(0)), other, COST_MAPS)
     refusal(lambda: load_costs(folder), folder, "5 features", "takes 4", "one folder")
-    (folder / ENCODER_FILE).unlink()
-    refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "dc2g objectnav train")
+    (folder / ENCODER_FOLDER / CARD).unlink()
+    refusal(lambda: load_costs(folder), folder / ENCODER_FOLDER, "dc2g objectnav train")

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli import episodes, searches, translation
+from dc2g_jax._src.cli import episodes, searches
 from dc2g_jax._src.cli.commands import (
     compare,
     head_to_head,
@@ -28,11 +28,10 @@ from dc2g_jax._src.cli.commands import (
     run_episodes,
     sweep_losses,
     train,
-    train_translator,
 )
 from dc2g_jax._src.cli.driving import DriveResult
-from dc2g_jax._src.estimation.checkpoints import network_in_folder
-from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
+from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
@@ -42,9 +41,9 @@ from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
-from dc2g_jax._src.training import sweeps, train as training, training_sets
+from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.masks import Masks
@@ -127,8 +126,7 @@ def fake_encoder_task(training, views, save) -> Task[TrainingState]:
         save(TrainedEncoder(state.weights, SMALL_ENCODER), {"loss": 0.5})
         return [{"step": step}]
 
-    small = dataclasses.replace(training, architecture=SMALL_ENCODER)
-    return Task(small.steps, small.first_state, fake_step, validate)
+    return Task(training.steps, fake_step, validate)
 
 
 def fake_results(name, houses, some_searches, searches) -> list[SearchResult]:
@@ -232,8 +230,8 @@ def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
     patch.setattr(module, "supervised_step", fake_step)
     patch.setattr(module, "first_state", functools.cache(module.first_state))
     patch.setattr(module, "Validation", FakeValidation)
-    patch.setattr(training_sets, "observation_masks", fake_masks)
-    patch.setattr(training_sets, "training_set", fake_training_set)
+    patch.setattr(cost_to_go_data, "observation_masks", fake_masks)
+    patch.setattr(cost_to_go_data, "training_set", fake_training_set)
 
 
 def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
@@ -258,28 +256,17 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
     return _command(sweep_losses, options)
 
 
-def _translator(patch: pytest.MonkeyPatch, steps: int) -> translation.TranslationOptions:
-    patch.setattr(translation, "supervised_step", fake_step)
-    patch.setattr(translation, "first_state", functools.cache(translation.first_state))
-    patch.setattr(translation, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
-    data = translation.TranslationData(trainings.image_set(), trainings.image_set())
-    for module in (train_translator, reproduce_fig5):
-        patch.setattr(module, "translation_data", lambda dataset, options: data)
-    return translation.TranslationOptions(
-        size=32, base_filters=2, steps=steps, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0
-    )
-
-
-def train_translator_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    options = train_translator.Options(dataset=dataset, out=folder, training=_translator(patch, 2))
-    return _command(train_translator, options)
-
-
 def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    patch.setattr(reproduce_fig5, "supervised_step", fake_step)
+    patch.setattr(reproduce_fig5, "first_state", functools.cache(reproduce_fig5.first_state))
+    patch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
+    data = reproduce_fig5.TranslationData(trainings.image_set(), trainings.image_set())
+    patch.setattr(reproduce_fig5, "translation_data", lambda dataset, options: data)
     patch.setattr(reproduce_fig5, "plot_training", fake_figure)
     options = reproduce_fig5.Options(
-        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), training=_translator(patch, 1)
-    )
+        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), size=32, base_filters=2, steps=2, batch_size=1,
+        validate_every=1, minutes_per_checkpoint=0.0,
+    )  # fmt: skip
     return _command(reproduce_fig5, options)
 
 
@@ -288,6 +275,7 @@ def objectnav_train_(
 ) -> Command:  # fmt: skip
     patch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
     patch.setattr(objectnav_train, "random_views", lambda *args: None)
+    patch.setattr(objectnav_train, "EncoderArchitecture", lambda: SMALL_ENCODER)
     patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
     patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
     patch.setattr(objectnav_train, "supervised_step", fake_step)
@@ -304,8 +292,8 @@ def objectnav_train_(
 
 def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(0))
-    write_network(folder / "given.safetensors", weights, SMALL_ENCODER, {})
-    return objectnav_train_(dataset, folder, patch, folder / "given.safetensors")
+    write_network(folder / "given", weights, SMALL_ENCODER, ENCODER)
+    return objectnav_train_(dataset, folder, patch, folder / "given")
 
 
 #: `(houses, folder for inputs, patch) -> command`, by the name of its module.
@@ -313,7 +301,7 @@ COMMANDS: dict[str, Callable[[str, Path, pytest.MonkeyPatch], Command]] = {
     each.__name__.rstrip("_"): each
     for each in (
         run_episodes_, reproduce_fig7_, compare_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
-        objectnav_table2_, train_, sweep_losses_, train_translator_, reproduce_fig5_, objectnav_train_,
+        objectnav_table2_, train_, sweep_losses_, reproduce_fig5_, objectnav_train_,
         objectnav_train_with_encoder_,
     )
 }  # fmt: skip

@@ -63,7 +63,7 @@ def test_a_state_that_cannot_be_read_is_refused(tmp_path):
         with pytest.raises(InputError, match=r"states/0: cannot be restored"):
             checkpoints.restore()
         checkpoints.delete()
-        assert checkpoints.restore() is None
+        assert int(checkpoints.restore().step) == 0
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_houses_that_drawn_ones_cannot_stand_beside_are_refused(street):
 def test_masks_of_other_maps_are_refused(houses):
     height = houses[0].terrain.shape[0]
     good = masks(boards=np.ones((4, 1, height), np.uint32))
-    check_masks(good, houses, "masks.npz")
+    check_masks(good, houses, "masks.safetensors")
     for bad in (
         good._replace(boards=good.boards[:, :, 1:]),
         good._replace(boards=good.boards[:, 0]),
@@ -73,8 +73,8 @@ def test_masks_of_other_maps_are_refused(houses):
         good._replace(world=np.array([0, 0, 1, 2])),
         good._replace(world=good.world[:3]),
     ):
-        with pytest.raises(InputError, match=r"masks\.npz: masks of .*; delete the file"):
-            check_masks(bad, houses, "masks.npz")
+        with pytest.raises(InputError, match=r"masks\.safetensors: masks of .*; delete the file"):
+            check_masks(bad, houses, "masks.safetensors")
 
 
 def test_labels_are_those_of_each_house(houses, street):

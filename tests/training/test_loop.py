@@ -41,7 +41,7 @@ class Training:
         return [{"step": step}]
 
     def restore(self):
-        return None
+        return Count(jnp.int32(self.first_step))
 
     def save(self, state):
         self.saved.append(int(state.step))
@@ -50,8 +50,9 @@ class Training:
         pass
 
     def run(self, first_step=0, validate_every=10, minutes=np.inf, **changes):
+        self.first_step = first_step
         task = Task(
-            25, lambda: Count(jnp.int32(first_step)), **{"step": self.step, "validate": self.validate, **changes},
+            25, **{"step": self.step, "validate": self.validate, **changes},
             validated=self.validations, name="test", steps_per_look=4,
         )  # fmt: skip
         return train(task, self.out, self, Pauses(validate_every, minutes))

@@ -21,12 +21,11 @@ from dc2g_jax._src.training import step
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, mean_loss
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
-from dc2g_jax._src.training.step import learn, placed, supervised_step
+from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
 from dc2g_jax._src.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
     in_turns,
-    init_states,
     runs_of_grid,
     stacked_hyperparameters,
     steps_left_out,
@@ -145,7 +144,7 @@ def take_steps(data, state, hyperparameters, recipe, steps: int, runs: int = 1):
 
 def train(data, configs, steps: int, states=None):
     hyperparameters, recipe = stacked_hyperparameters(configs), configs[0].recipe
-    states = init_states(recipe, hyperparameters) if states is None else states
+    states = stacked([first_state(config) for config in configs]) if states is None else states
     return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
 
@@ -157,8 +156,8 @@ def test_together_is_like_alone(data):
         state, of_run = take_steps(data, first_state(config), config.hyperparameters, config.recipe, 5)
         np.testing.assert_allclose(of_run, losses[:, index], rtol=1e-4)
         alone, ours = jax.tree.leaves(state.weights), jax.tree.leaves(states.weights)
-        for one, stacked in zip(alone, ours, strict=True):
-            np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
+        for one, all_of_them in zip(alone, ours, strict=True):
+            np.testing.assert_allclose(all_of_them[index], one, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.usefixtures("on")
@@ -206,20 +205,20 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
     assert steps_left_out(states).tolist() == [0, 4]
     for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
         np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
-    first = init_states(configs[0].recipe, stacked_hyperparameters(configs)).weights
-    jax.tree.map(lambda one, other: np.testing.assert_array_equal(one[1], other[1]), states.weights, first)
+    first = first_state(configs[1]).weights
+    jax.tree.map(lambda one, other: np.testing.assert_array_equal(one[1], other), states.weights, first)
 
 
 def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
     configs = list(grid(seeds=[0, 1]).values())
-    states = init_states(configs[0].recipe, stacked_hyperparameters(configs))
+    states = stacked([first_state(config) for config in configs])
     of_runs = [
         TrainingCheckpoints(tmp_path / str(run), config, first_state=first_state) for run, config in enumerate(configs)
     ]
     checkpoints = StackedCheckpoints(of_runs)
     with contextlib.closing(checkpoints):
         of_runs[1].save(first_state(configs[1]))
-        assert checkpoints.restore() is None
+        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states)
         assert of_runs[1].steps() == []
         checkpoints.save(states.replace(step=states.step + 2))
         of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved

@@ -1,5 +1,8 @@
 """A recording of a camera holds its frames, and the map after each."""
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import cv2
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +13,7 @@ from dc2g_jax._src.grid.terrain import CAR, HOUSE, ROAD
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics
 from dc2g_jax._src.mapping.semantic_map import UNSEEN, MapSettings, SemanticMap
 from dc2g_jax._src.viewer import camera_recording
-from dc2g_jax._src.viewer.camera_recording import CameraRecording, MappedFrame
+from dc2g_jax._src.viewer.camera_recording import MappedFrame, record_camera
 from tests.support.recordings import read
 
 SETTINGS = MapSettings(rows=4, columns=5, cell_size=2.0, levels=3, level_height=0.5, reach=9.0)
@@ -44,6 +47,10 @@ def mapped(number: int) -> MappedFrame:
     )
 
 
+def record(file: Path, numbers: Iterable[int], path: np.ndarray = PLACES) -> None:
+    record_camera(file, map(mapped, numbers), camera=CAMERA, settings=SETTINGS, path=path, name="yard")
+
+
 def picture(number: int) -> bytes | None:
     return None if number == 2 else cv2.imencode(".png", np.full((4, 6, 3), number, np.uint8))[1].tobytes()
 
@@ -54,9 +61,7 @@ def logged(tmp_path_factory):
     file = tmp_path_factory.mktemp("recordings") / "new" / "camera.rrd"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera_recording, "_CHUNK", 3)
-        with CameraRecording(file, camera=CAMERA, settings=SETTINGS, path=PLACES, name="yard") as recording:
-            for number in range(4):
-                recording.add(mapped(number))
+        record(file, range(4))
     return read(file)
 
 
@@ -112,18 +117,20 @@ def test_the_map_and_the_way_are_seen_from_above(logged):
         assert list(cells) == [number] * 20
         x, y, _ = PLACES[number]
         assert logged["/map/robot", "Points2D:positions"][number] == [[x / 2, -y / 2]]
-        assert logged["/map/robot/view", "Arrows2D:vectors"][number][0] == pytest.approx([2.5, 0])
+        assert logged["/map/robot/heading", "Arrows2D:vectors"][number][0] == pytest.approx([2.5, 0])
     # A piece a move, also from one batch of steps to the next.
     assert logged["/world/path", "LineStrips3D:strips"] == {1: [PLACES[:2].tolist()], 3: [PLACES[2:].tolist()]}
-    assert logged["/map/path", "LineStrips2D:strips"] == {1: [[[0.5, 0.5], [1.5, 0.5]]], 3: [[[1.5, 0.5], [1.5, 2.5]]]}
+    assert logged["/map/robot/path", "LineStrips2D:strips"] == {
+        1: [[[0.5, 0.5], [1.5, 0.5]]],
+        3: [[[1.5, 0.5], [1.5, 2.5]]],
+    }
 
 
 def test_large_images_and_long_ways_are_thinned_out(tmp_path, monkeypatch):
     monkeypatch.setattr(camera_recording, "_POINTS", 12)
     monkeypatch.setattr(camera_recording, "_FEWEST_POINTS", 1)
     file = tmp_path / "camera.rrd"
-    with CameraRecording(file, camera=CAMERA, settings=SETTINGS, path=PLACES[:2], name="yard") as recording:
-        recording.add(mapped(1))
+    record(file, [1], PLACES[:2])
     # Every second row and column, and the first pixel has no depth.
     assert len(read(file)["/world/points", "Points3D:positions"][0]) == 5
 
@@ -131,4 +138,4 @@ def test_large_images_and_long_ways_are_thinned_out(tmp_path, monkeypatch):
 def test_files_that_cannot_be_written_are_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        CameraRecording(tmp_path / "file" / "x.rrd", camera=CAMERA, settings=SETTINGS, path=PLACES, name="yard")
+        record(tmp_path / "file" / "x.rrd", [0])

@@ -67,7 +67,7 @@ def logged(tmp_path_factory):
     """A run of three looks and one validation."""
     folder = tmp_path_factory.mktemp("run")
     recording = _recording(folder, _maps())
-    recording.predict(0, _network(0))
+    recording.look(0, None, _network(0))
     recording.look(2, 0.5, _network(1))
     recording.look(4, 0.25, _network(1))
     recording.validate(4, {"own_mean_extra": 12.5, "own_median_extra": 7.0}, _network(2))
@@ -194,7 +194,6 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
     def trained(name, watch, validate):
         task = Task(
             _CONFIG.steps,
-            lambda: first_state(_CONFIG),
             lambda state: supervised_step(state, data, _CONFIG.hyperparameters, training=training, mesh=mesh),
             validate=validate,
             watch=watch,
@@ -209,10 +208,7 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
     recording = _recording(tmp_path, _maps())
 
     def watch(state, step, loss):
-        if loss is None:
-            recording.predict(step, network_of(state))
-        else:
-            recording.look(step, float(loss), network_of(state))
+        recording.look(step, None if loss is None else float(loss), network_of(state))
 
     def validate(state, step, loss):
         recording.validate(step, {"mean_extra": 1.0}, network_of(state))

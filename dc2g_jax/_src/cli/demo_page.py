@@ -72,14 +72,10 @@ def serve(
       maps: class indices of the maps to choose from, by name.
       planners: names of the planners that run at first, including the user's own.
       estimator: network of planners that use one.
-      port: port to listen on.
+      port: port to listen on, see `check_port`.
       token: secret that the first address must have, see `OwnOriginOnly`; empty for none.
       open_browser: whether to open the page in a browser.
-
-    Raises:
-      InputError: the port cannot be used.
     """
-    check_port(port)
     # A web site elsewhere must not reach the page, nor by a name of its own for this machine.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
     app.add_middleware(OwnOriginOnly, token=token, port=port)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dc2g_jax._src.cli.common import ImageSizeOption
-from dc2g_jax._src.cli.options import SharedOptions
+from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.sensing import line_of_sight
@@ -35,7 +35,7 @@ SECONDS_LIMIT = 500.0
 
 
 @dataclasses.dataclass(frozen=True)
-class DrivingOptions(SharedOptions):
+class DrivingOptions(CommandOptions):
     """Robots that drive with a camera.
 
     Attributes:

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
-from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, SharedOptions
+from dc2g_jax._src.cli.options import NetworkOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
@@ -32,7 +32,7 @@ _REPLAY_BYTES, _MOST_BYTES = 45, 6e9
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
+class OneStartOptions(NetworkOptions, OutOptions):
     """One episode, run by several planners.
 
     Attributes:

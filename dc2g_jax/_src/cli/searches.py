@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from dc2g_jax._src.cli.common import digests
-from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
+from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
@@ -39,7 +39,7 @@ _CAVEAT = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SearchOptions(OutOptions, SharedOptions):
+class SearchOptions(OutOptions):
     """A search for an object in a house.
 
     Attributes:

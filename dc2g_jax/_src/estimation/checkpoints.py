@@ -6,20 +6,21 @@ import functools
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from flax import nnx
 
 from dc2g_jax._src.errors import InputError, require_extra, short
 from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture, network_class
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture
-from dc2g_jax._src.estimation.weights import read_safetensors, read_weights, shapes_of_weights, write_safetensors
+from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.files.reading import number, read_object, whole_number
@@ -30,47 +31,48 @@ from dc2g_jax._src.own_parts import is_own_part
 #: The shipped networks: for maps without errors, and for maps from a camera.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
-#: File with the card of a network, written after its weights.
-CARD = "network.json"
-_WEIGHTS = "weights.safetensors"
+#: Files of a network: its card, which is written last, and its weights.
+CARD, WEIGHTS = "network.json", "weights.safetensors"
+
 _CONFIG = "config.json"
 _STATES = "states"
 
 TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
 
 
-class _Kind(NamedTuple):
-    """A kind of network: its estimator, the functions that read its architecture, and its class from that."""
+class Kind(NamedTuple):
+    """A kind of networks.
 
-    estimator: type[TrainedNetwork]
-    read_architecture: Callable[[Any], Any]
+    Attributes:
+      name: its name in cards; a network of the user's own has that of its class.
+      architecture: dataclass of an architecture, whose attributes have defaults.
+      network: class of the network with an architecture.
+      classes: names of the classes that maps for it may have.
+      command: trains it.
+      dtype: precision of saved weights.
+    """
+
+    name: str
+    architecture: type
     network: Callable[[Any], type[nnx.Module]]
+    classes: Sequence[str]
+    command: str
+    dtype: npt.DTypeLike = np.float32
 
 
-def _read_compact(facts: Any) -> Architecture:
-    return Architecture(
-        widths=tuple(whole_number(width) for width in facts["widths"]),
-        quantiles=tuple(map(number, facts["quantiles"])),
-        cost_scale=number(facts["cost_scale"]),
-        side=whole_number(facts["side"]),
-        patch=whole_number(facts["patch"]),
-        embedding=whole_number(facts["embedding"]),
-        network=facts.get("network", COMPACT_UNET),
-    )
-
-
-def _read_translator(facts: Any) -> TranslatorArchitecture:
-    return TranslatorArchitecture(
-        size=whole_number(facts["size"]),
-        base_filters=whole_number(facts["base_filters"]),
-        compute_dtype=facts["compute_dtype"],
-    )
-
-
-_KINDS = {
-    "compact_unet": _Kind(NetworkCostToGo, _read_compact, network_class),
-    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, lambda architecture: Generator),
+_KINDS: dict[type[TrainedNetwork], Kind] = {
+    NetworkCostToGo: Kind(COMPACT_UNET, Architecture, network_class, CLASS_NAMES, "dc2g train"),
+    TranslatorCostToGo: Kind(
+        "pix2pix", TranslatorArchitecture, lambda architecture: Generator, CLASS_NAMES, "dc2g fig5"
+    ),
 }
+
+
+def _like(default: Any, value: Any) -> Any:
+    """A value of a JSON document with the type of a default. JSON has lists instead of tuples."""
+    if isinstance(default, tuple):
+        return tuple(_like(default[0], one) for one in value)
+    return whole_number(value) if isinstance(default, int) else number(value) if isinstance(default, float) else value
 
 
 def _orbax() -> Any:
@@ -100,67 +102,76 @@ def reason(error: Exception) -> str:
     return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]
 
 
-def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
+def write_network(
+    folder: str | Path, weights: dict[str, Any], architecture: Any, kind: Kind, card: dict[str, Any] | None = None
+) -> Path:
     """Save a network as `network.json` (its card) and `weights.safetensors`. Replaces an existing network.
 
     Args:
       folder: folder to save to.
-      network: the network.
+      weights: see `estimation.weights`.
+      architecture: architecture of the network.
+      kind: kind of the network.
       card: further facts for `network.json`, such as data, seed, command and metrics.
     """
     folder = Path(folder).absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    write_safetensors(folder / _WEIGHTS, network.weights, {})
+    saved = jax.tree.map(lambda leaf: np.asarray(leaf, kind.dtype), weights)
+    write_safetensors(folder / WEIGHTS, saved)
     facts = {
-        "network": getattr(network.architecture, "network", "pix2pix"),
-        "architecture": dataclasses.asdict(network.architecture),
-        "classes": list(CLASS_NAMES),
-        "sha256": arrays_sha256(network.weights),
+        "network": getattr(architecture, "network", kind.name),
+        "architecture": dataclasses.asdict(architecture),
+        "classes": list(kind.classes),
+        "sha256": arrays_sha256(jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), saved)),
         **(card or {}),
     }
     write_json(folder / CARD, facts)
     return folder
 
 
-def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
-    """Kind, architecture and digest of a saved network, after checking that this package can run it."""
-    remedy = "give a folder written by `dc2g train` or `dc2g train-translator`"
+def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
+    """Save a planner's network, see `write_network`."""
+    return write_network(folder, network.weights, network.architecture, _KINDS[type(network)], card)
+
+
+def _read_card(folder: Path, kinds: Collection[Kind]) -> tuple[Kind, Any, dict[str, Any]]:
+    """Kind, architecture and card of a saved network, after checking that this package can run it."""
+    remedy = f"give a folder written by {' or '.join(f'`{kind.command}`' for kind in kinds)}"
     if (folder / "network" / CARD).exists():
         remedy = f"give {folder / 'network'}"
     facts = read_object(folder / CARD, remedy)
     named = facts.get("network")
-    kind = _KINDS.get(COMPACT_UNET if is_own_part(named) else named) if isinstance(named, str) else None
+    names = {kind.name: kind for kind in kinds}
+    kind = names.get(COMPACT_UNET if is_own_part(named) else named) if isinstance(named, str) else None
     if kind is None:
         raise InputError(
             f"{folder / CARD}: {f'its network is {short(named)}' if named else 'names no kind of network'}, but "
-            f"planners take {' or '.join(_KINDS)}; {remedy}"
+            f"expected {' or '.join(names)}; {remedy}"
         )
-    if facts.get("classes") != list(CLASS_NAMES):
-        raise InputError(f"{folder / CARD}: the network was trained on another list of terrain classes; train it anew")
+    if facts.get("classes") != list(kind.classes):
+        raise InputError(f"{folder / CARD}: the network was trained on another list of classes; train it anew")
     architecture: Any = facts.get("architecture")
     try:
-        known = kind.read_architecture(architecture)
+        defaults = {field.name: field.default for field in dataclasses.fields(kind.architecture)}
+        known = kind.architecture(**{name: _like(value, architecture[name]) for name, value in defaults.items()})
         shapes_of_weights(kind.network(known), known)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder / CARD}: architecture {short(architecture)} is not one of this network's ({error}); {remedy}"
         ) from None
-    return kind, known, facts.get("sha256")
+    return kind, known, facts
 
 
-def network_in_folder(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
-    """Load a network of any kind saved by `save_network`.
-
-    Args:
-      folder: folder of the network; `None` for the shipped network.
+def read_network(folder: str | Path, kinds: Collection[Kind]) -> tuple[Kind, dict[str, Any], Any, dict[str, Any]]:
+    """Read a network written by `write_network`: its kind, weights in float32, architecture and card.
 
     Raises:
-      InputError: the network is missing, cannot be read, or has weights of another architecture.
+      InputError: the network is missing, cannot be read, is of another kind, or has weights of another architecture.
     """
-    folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
-    kind, architecture, digest = _read_card(folder)
-    path = folder / _WEIGHTS
-    weights = read_weights(path, shapes_of_weights(kind.network(architecture), architecture), read_safetensors(path)[0])
+    folder = Path(folder).absolute()
+    kind, architecture, card = _read_card(folder, kinds)
+    path, digest = folder / WEIGHTS, card.get("sha256")
+    weights = read_weights(path, shapes_of_weights(kind.network(architecture), architecture))
     found = arrays_sha256(weights)
     if digest is None:
         raise InputError(
@@ -174,7 +185,16 @@ def network_in_folder(folder: str | os.PathLike[str] | None = None) -> TrainedNe
         )
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(weights)):
         raise InputError(f"{path}: holds weights that are not finite; train the network anew")
-    return kind.estimator(weights=weights, architecture=architecture)
+    return kind, weights, architecture, card
+
+
+def network_in_folder(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
+    """Load a planner's network of any kind, see `read_network`; `None` for the shipped network."""
+    kind, weights, architecture, _ = read_network(
+        resource(SHIPPED_NETWORK) if folder is None else Path(folder), _KINDS.values()
+    )
+    estimator = next(estimator for estimator, own in _KINDS.items() if own is kind)
+    return estimator(weights=weights, architecture=architecture)
 
 
 def newest_step(folder: str | Path) -> int:
@@ -189,8 +209,7 @@ class TrainingCheckpoints:
       folder: folder of the run.
       config: training configuration. It must match the states in the folder.
       facts: a JSON object of anything else that must match to resume the run, such as the data.
-      first_state: `config -> state` before the first step, with an attribute `step`. It defines the shapes of restored
-        states.
+      first_state: `config -> state` before the first step, with an attribute `step`.
 
     Raises:
       InputError: the folder holds a run of another configuration, or Orbax is not installed.
@@ -243,7 +262,7 @@ class TrainingCheckpoints:
         return sorted(self._manager.all_steps())
 
     def restore(self, step: int | None = None) -> Any:
-        """Restore the state after `step`, by default the newest, and delete later ones. `None` if there is no state.
+        """The state after `step`, whose later ones are deleted; by default the newest, or the first if none is saved.
 
         Raises:
           InputError: the state is damaged, or from another version of the program.
@@ -251,7 +270,7 @@ class TrainingCheckpoints:
         if step is None:
             step = self._manager.latest_step()
         if step is None:
-            return None
+            return self._first_state()
         self.delete(after=step)
         template = jax.eval_shape(self._first_state)
         try:

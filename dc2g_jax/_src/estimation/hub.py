@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 
 from dc2g_jax._src.errors import InputError, require_extra, short
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainedNetwork, network_in_folder, reason, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, TrainedNetwork, network_in_folder, reason, save_network
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.own_parts import is_own_part, own_part
@@ -15,8 +15,8 @@ from dc2g_jax._src.own_parts import is_own_part, own_part
 #: Prefix of places on the Hub.
 _HUB = "hf://"
 
-#: The files of a network, whatever its kind.
-_FILES = [CARD, "*.safetensors"]
+#: The files of a network, whatever its kind, and of an encoder in its folder.
+_FILES = [f"*{CARD}", f"*{WEIGHTS}"]
 
 
 def _on_hub(place: str) -> tuple[str, str | None]:
@@ -104,8 +104,8 @@ def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
 
     with tempfile.TemporaryDirectory() as saved:
         folder = Path(network) if isinstance(network, str | os.PathLike) else save_network(saved, network)
-        if not (folder / CARD).is_file() or not list(folder.glob(_FILES[1])):
-            raise InputError(f"{folder}: holds no {' and '.join(_FILES)}; give the folder of a trained network")
+        if not ((folder / CARD).is_file() and (folder / WEIGHTS).is_file()):
+            raise InputError(f"{folder}: holds no {CARD} and {WEIGHTS}; give the folder of a trained network")
         try:
             hub = huggingface_hub.HfApi()
             hub.create_repo(repository, exist_ok=True)

@@ -11,24 +11,6 @@ from dc2g_jax._src.estimation.images import brightness, looks_traversable
 _LOW_COST_BRIGHTNESS = 0.9
 
 
-class ImageMetrics(NamedTuple):
-    """Metrics of predicted images. Precision and recall are NaN if there are no such pixels.
-
-    Attributes:
-      l1: mean absolute error over pixels and colors.
-      low_precision: precision of pixels with low cost-to-go.
-      low_recall: recall of pixels with low cost-to-go.
-      traversable_precision: precision of traversable pixels.
-      traversable_recall: recall of traversable pixels.
-    """
-
-    l1: Float[Array, ""]
-    low_precision: Float[Array, ""]
-    low_recall: Float[Array, ""]
-    traversable_precision: Float[Array, ""]
-    traversable_recall: Float[Array, ""]
-
-
 class Counts(NamedTuple):
     """Number of pixels that are predicted to be in a set, that are in it, and both; of one image or several."""
 
@@ -36,15 +18,9 @@ class Counts(NamedTuple):
     true: Int[Array, ""]
     both: Int[Array, ""]
 
-    @property
-    def precision(self) -> Float[Array, ""]:
-        """Share of the predicted pixels that are in the set."""
-        return self.both / self.predicted
-
-    @property
-    def recall(self) -> Float[Array, ""]:
-        """Share of the pixels in the set that are predicted."""
-        return self.both / self.true
+    def metrics(self, name: str) -> dict[str, Float[Array, ""]]:
+        """Precision and recall, by names that begin with that of the set; NaN if there are no such pixels."""
+        return {f"{name}_precision": self.both / self.predicted, f"{name}_recall": self.both / self.true}
 
 
 class Comparison(NamedTuple):
@@ -60,10 +36,10 @@ class Comparison(NamedTuple):
     low: Counts
     traversable: Counts
 
-    def metrics(self, pictures: int = 1) -> ImageMetrics:
-        """The metrics of a sum over this number of images."""
-        low, drivable = self.low, self.traversable
-        return ImageMetrics(self.l1 / pictures, low.precision, low.recall, drivable.precision, drivable.recall)
+    def metrics(self, pictures: int = 1) -> dict[str, Float[Array, ""]]:
+        """The metrics of a sum over this number of images: `l1`, `low_precision`, `traversable_recall` and so on."""
+        shares = self.low.metrics("low") | self.traversable.metrics("traversable")
+        return {"l1": self.l1 / pictures, **shares}
 
 
 def _low_cost(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:

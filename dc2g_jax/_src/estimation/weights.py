@@ -1,9 +1,7 @@
-"""Weights of NNX networks as nested dictionaries, and networks in single safetensors files."""
+"""Weights of NNX networks as nested dictionaries, and arrays in safetensors files."""
 
-import dataclasses
 import functools
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,19 +9,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
-from flax.traverse_util import flatten_dict, unflatten_dict
+from jax.tree_util import keystr, tree_leaves_with_path
 from jaxtyping import Array
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import replacing
-from dc2g_jax._src.files.reading import check_file, parse_json
+from dc2g_jax._src.files.digests import tree_sha256
+from dc2g_jax._src.files.reading import check_file
 
 #: Most bytes of a file of weights.
-_LARGEST_NETWORK = 2**31
+_LARGEST = 2**36
 
-_Architecture = TypeVar("_Architecture")
 _Network = TypeVar("_Network", bound=nnx.Module)
 
 
@@ -66,106 +64,64 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
     return nnx.merge(graph, state)
 
 
-def _by_name(tree: dict[str, Any]) -> dict[str, Any]:
-    """Weights by their names in files: their keys, and their numbers in lists of layers, with dots between."""
-    return {".".join(map(str, path)): leaf for path, leaf in flatten_dict(tree).items()}
+def _by_name(tree: Any) -> dict[str, Any]:
+    """Arrays of a tree by their names in files: keys, attributes and numbers in lists, with dots between."""
+    return {keystr(path, simple=True, separator="."): leaf for path, leaf in tree_leaves_with_path(tree)}
 
 
-def write_safetensors(path: str | Path, tensors: dict[str, Any], metadata: Mapping[str, str]) -> None:
-    """Write arrays to a file, always as the same bytes. An existing file is replaced atomically.
+def write_safetensors(path: str | Path, tensors: Any) -> None:
+    """Write the arrays of a tree, such as `fresh_weights`, to a file, always as the same bytes.
+
+    An existing file is replaced atomically. Arrays get the names of their keys or attributes, with dots between. The
+    metadata of the file has their SHA-256.
+    """
+    arrays = {name: np.asarray(leaf, order="C") for name, leaf in _by_name(tensors).items()}
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(save(arrays, {"sha256": tree_sha256(arrays)}))
+
+
+def read_safetensors(
+    path: str | Path, remedy: str = "give an undamaged file in the safetensors format"
+) -> dict[str, np.ndarray]:
+    """Read the arrays of a file.
 
     Args:
       path: the file.
-      tensors: name -> array. Nested dictionaries, such as `fresh_weights`, get names with dots.
-      metadata: further facts, as strings by name.
-    """
-    dense = {name: np.asarray(tensor, order="C") for name, tensor in _by_name(tensors).items()}
-    data = save(dense)
-    length = int.from_bytes(data[:8], "little")
-    # The library would write the metadata in random order.
-    facts = {"__metadata__": dict(metadata)} | json.loads(data[8 : 8 + length])
-    header = json.dumps(facts, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)
-    with replacing(path) as unfinished:
-        unfinished.write_bytes(len(header).to_bytes(8, "little") + header + data[8 + length :])
-
-
-def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Read the arrays and the metadata of a file.
+      remedy: end of the message: what to do.
 
     Raises:
-      InputError: the file cannot be read or has another format; the message gives the reason.
+      InputError: the file cannot be read, has another format, or has arrays of another SHA-256 than it says.
     """
-    check_file(Path(path), "give a file in the safetensors format", at_most=_LARGEST_NETWORK)
+    check_file(Path(path), remedy, at_most=_LARGEST)
     try:
         with safe_open(path, framework="np") as file:
-            names = file.keys()
-            return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
+            names, digest = file.keys(), (file.metadata() or {}).get("sha256")
+            arrays = {name: file.get_tensor(name) for name in names}
     except (OSError, SafetensorError, AttributeError, TypeError, ValueError) as error:  # also data types NumPy lacks
-        raise InputError(
-            f"{path}: cannot be read ({error}); give an undamaged file in the safetensors format"
-        ) from None
+        raise InputError(f"{path}: cannot be read ({error}); {remedy}") from None
+    if digest is not None and digest != tree_sha256(arrays):
+        raise InputError(f"{path}: cannot be read (is damaged: its arrays have another SHA-256 than it says); {remedy}")
+    return arrays
 
 
-def read_weights(path: str | Path, shapes: dict[str, Any], tensors: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Weights of a known network from the arrays of a file, as float32.
+def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
+    """Read the weights of a known network from a file, as float32.
 
     Args:
-      path: the file, for messages.
+      path: the file.
       shapes: nested dictionary of values with the shapes of the network's weights.
-      tensors: the arrays of the file.
 
     Raises:
-      InputError: an array is missing, unexpected or of another shape.
+      InputError: the file cannot be read, or an array is missing, unexpected or of another shape.
     """
+    remedy = "keep the files of one training together"
+    tensors = read_safetensors(path, remedy)
     wanted = {name: tuple(leaf.shape) for name, leaf in _by_name(shapes).items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
     for name in sorted({**wanted, **found}):
         if wanted.get(name) != found.get(name):
             raise InputError(
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
-                f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
+                f"network needs {wanted.get(name, 'none')}; {remedy}"
             )
-    arrays = (jnp.asarray(tensors[name], jnp.float32) for name in wanted)
-    return unflatten_dict(dict(zip(flatten_dict(shapes), arrays, strict=True)))
-
-
-def write_network(path: str | Path, weights: dict[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:
-    """Write a network to one file: weights in half precision, architecture and card as JSON in the metadata.
-
-    Args:
-      path: the file; replaced if it exists.
-      weights: see `fresh_weights`.
-      architecture: dataclass of the architecture.
-      card: further facts about the network.
-    """
-    tensors = jax.tree.map(lambda leaf: np.asarray(leaf, np.float16), weights)
-    metadata = {"architecture": json.dumps(dataclasses.asdict(architecture)), "card": json.dumps(dict(card))}
-    write_safetensors(path, tensors, metadata)
-
-
-def read_network(
-    path: str | Path, network: Callable[..., nnx.Module], read_architecture: Callable[[dict[str, Any]], _Architecture]
-) -> tuple[dict[str, Any], _Architecture, dict[str, Any]]:
-    """Read a network written by `write_network`.
-
-    Args:
-      path: the file.
-      network: class of the network.
-      read_architecture: converts JSON to the architecture.
-
-    Returns:
-      Weights in float32, architecture and card. The card is empty for files without one.
-
-    Raises:
-      InputError: the file cannot be read or holds no such network.
-    """
-    tensors, metadata = read_safetensors(path)
-    try:
-        architecture = read_architecture(parse_json(metadata["architecture"]))
-        shapes, card = shapes_of_weights(network, architecture), parse_json(metadata.get("card", "{}"))
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
-        raise InputError(f"{path}: holds no network with its architecture; write or copy it again") from None
-    if not isinstance(card, dict):
-        raise InputError(f"{path}: its card is {short(card)}, which is no JSON object; write or copy it again")
-    return read_weights(path, shapes, tensors), architecture, card
+    return jax.tree.unflatten(jax.tree.structure(shapes), [jnp.asarray(tensors[name], jnp.float32) for name in wanted])

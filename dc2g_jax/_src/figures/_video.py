@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Int, UInt8
 from PIL import Image
 
-from dc2g_jax._src.errors import InputError, require_extra
+from dc2g_jax._src.errors import InputError
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -90,7 +90,7 @@ def h264_encoder() -> str | None:
         return None
 
 
-def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last_seconds: float) -> None:
+def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last_seconds: float, program: str) -> None:
     """Write an MP4 in H.264, which office programs and browsers open.
 
     Args:
@@ -98,14 +98,11 @@ def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last
       shown: the pictures, of even width and height.
       frames_per_second: pictures per second.
       last_seconds: duration of the last picture, seconds.
+      program: the encoder, see `h264_encoder`.
 
     Raises:
-      InputError: the encoder is not installed, or cannot write to the path.
+      InputError: the encoder cannot write to the path.
     """
-    program = h264_encoder()
-    if program is None:
-        require_extra("imageio_ffmpeg")
-        raise InputError(f"{path}: imageio_ffmpeg has no encoder; give a file that ends in .gif")
     first = next(shown)
     height, width, _ = first.shape
     pictures = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(frames_per_second)]

@@ -122,18 +122,19 @@ def write_animation(
     path = Path(path)
     if path.suffix.lower() not in (".gif", ".mp4"):
         raise InputError(f"{path}: is not an animation; give a name that ends in .gif or .mp4")
-    if path.suffix.lower() == ".mp4" and h264_encoder() is None:
+    program = h264_encoder() if path.suffix.lower() == ".mp4" else None
+    if path.suffix.lower() == ".mp4" and program is None:
         path = path.with_suffix(".gif")
         tell_on_stderr(f'{path}: is no MP4, as there is no encoder for it; run: pip install "dc2g_jax[all]"')
     shown = [*range(0, count - 1, -(-max(count - 1, 1) // _MOST_PICTURES)), count - 1]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix.lower() == ".gif":
+        if program is None:
             sample = shown[:: max(1, len(shown) // _SAMPLE)] + shown[-1:]
             durations = [1 / frames_per_second] * (len(shown) - 1) + [_LAST_SECONDS]
             write_gif(path, paint(shown), frequent_colors(paint(sample), colors), durations)
         else:
-            write_mp4(path, paint(shown), frames_per_second, _LAST_SECONDS)
+            write_mp4(path, paint(shown), frames_per_second, _LAST_SECONDS, program)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from None
     return path

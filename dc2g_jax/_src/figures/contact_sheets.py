@@ -58,17 +58,14 @@ def _draw_house(axes: Axes, house: House) -> None:
     axes.set_xlabel(house.name + doubt, fontsize=7, labelpad=1.5, color="#b03000" if doubt else "black")
 
 
-def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[Row]) -> list[Path]:
+def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[Row]) -> None:
     """Draw a page of houses of any sizes. A star marks a door; text below a map says why no episode can be run in it.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       title: description of the houses.
       number: description of the page, such as its number.
       rows: one page of `contact_pages`.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 1.12 * len(rows) + 0.7), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02)  # type: ignore[union-attr, call-arg]
@@ -86,4 +83,4 @@ def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[
         handles=[class_patch(index) for index in classes.tolist()], loc="outside lower left", ncols=8, frameon=False,
         fontsize=7, handlelength=1.1, columnspacing=1.1, labelspacing=0.3,
     )  # fmt: skip
-    return save_figure(figure, path, dpi=300)
+    save_figure(figure, path, dpi=300)

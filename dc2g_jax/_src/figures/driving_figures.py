@@ -38,17 +38,14 @@ ROBOT_ARROW = Path([(1, 0), (-0.8, 0.65), (-0.4, 0), (-0.8, -0.65), (1, 0)], clo
 
 def plot_noise(
     path: str | FilePath, levels: Sequence[float], results: Mapping[str, Mapping[str, float]], caption: str
-) -> list[FilePath]:
+) -> None:
     """Draw extra time and success over the level of noise, with one curve per network.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       levels: levels of noise.
       results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `cli.commands.noisy_mapping`.
       caption: description of drives and houses.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")
     extra_axes, success_axes = figure.subplots(1, 2)
@@ -73,22 +70,19 @@ def plot_noise(
         plain_axes(axes)
     extra_axes.legend(frameon=False, fontsize=8)
     figure.supxlabel(caption, fontsize=8, color="#555555")
-    return save_figure(figure, path)
+    save_figure(figure, path)
 
 
-def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_size: float) -> list[FilePath]:
+def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_size: float) -> None:
     """Draw moments of a drive (Fig. 9): the camera image, the map, the predicted cost-to-go, and the planned path.
 
     The map is the robot's own. Its path, its planned path and the robot are drawn at their estimated positions.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       drive: moments of the drive, in order.
       rows: number of moments to show, evenly spaced, including the first and the last.
       cell_size: side of a cell, meters.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     numbers = spread(len(drive) - 1, rows)
     chosen: list[Any] = [drive[number] for number in numbers]
@@ -131,7 +125,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     for label, color in (("driven", "black"), ("planned", "#0072b2")):
         entries.append(Line2D([], [], color=color, linewidth=2, label=label))
     figure.legend(handles=entries, loc="outside lower center", ncols=8, fontsize=7, frameon=False)
-    return save_figure(figure, path)
+    save_figure(figure, path)
 
 
 def _in_cells(positions: Any, cell_size: float) -> Float[np.ndarray, "n 2"]:

@@ -56,19 +56,14 @@ def _plain(axes: Axes, metric: str) -> None:
     plain_axes(axes)
 
 
-def plot_translations(
-    path: str | Path, full: Sequence[Example], partial: Sequence[Example], caption: str
-) -> list[Path]:
+def plot_translations(path: str | Path, full: Sequence[Example], partial: Sequence[Example], caption: str) -> None:
     """Draw Fig. 4: input, prediction and truth, for whole maps on the left and partial maps on the right.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       full: examples with fully observed maps.
       partial: equally many examples with partially observed maps.
       caption: description of network and houses.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     rows = len(full)
     figure = Figure(figsize=(PAGE_WIDTH, 1.15 * rows + 0.9), layout="constrained")
@@ -91,7 +86,7 @@ def plot_translations(
     patches = [Patch(facecolor=color, edgecolor="#333333", label=label) for color, label in legend.items()]
     options = {"ncols": len(patches), "frameon": False, "fontsize": 7.5, "title_fontsize": 7.5}
     figure.legend(handles=patches, title=caption, loc="outside lower center", **options)
-    return save_figure(figure, path, dpi=300)
+    save_figure(figure, path, dpi=300)
 
 
 def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.ndarray, "n"]:
@@ -107,20 +102,17 @@ def plot_training(
     caption: str,
     *,
     window: int,
-) -> list[Path]:
+) -> None:
     """Draw Fig. 5: validation metrics during training, one curve per loss.
 
     Each run is smoothed by a moving average. Curves are the mean over the runs of a loss that have a value; bands are
     one standard deviation.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       runs: loss -> runs -> step -> metrics; all runs of a loss were validated at the same steps.
       caption: description of networks and data.
       window: number of validations in the moving average.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     metrics = ("l1", "low_precision", "low_recall")
     figure = Figure(figsize=(PAGE_WIDTH, 2.7), layout="constrained")
@@ -136,21 +128,18 @@ def plot_training(
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=8)
     figure.supxlabel(textwrap.fill(caption, 115), fontsize=8, color="#555555")
-    return save_figure(figure, path)
+    save_figure(figure, path)
 
 
-def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], caption: str) -> list[Path]:
+def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], caption: str) -> None:
     """Draw Fig. 6: each metric by house over the house's distance from training, with one line per network.
 
     A share that is nowhere below 1 has no panel. The axes of others begin at their lowest value.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       networks: name -> points.
       caption: description of the houses.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     values = {metric: np.ravel([points.metrics[metric] for points in networks.values()]) for metric in METRIC_LABELS}
     drawn = [metric for metric in METRIC_LABELS if metric == "l1" or np.any(values[metric] < 1)]
@@ -180,4 +169,4 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], c
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)), frameon=False)
     figure.supxlabel(caption, fontsize=8, color="#555555")
-    return save_figure(figure, path)
+    save_figure(figure, path)

@@ -45,18 +45,15 @@ def plot_map(
     terrain: UInt8[np.ndarray, "h w"],
     cost_to_go: Float[np.ndarray, "h w"],
     palette: Palette | None = None,
-) -> list[Path]:
+) -> None:
     """Draw a map's classes, the ground that leads to a goal, and the distance to the goal.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       title: description of the map.
       terrain: class indices.
       cost_to_go: exact cost-to-go; shown on ground that is connected to a goal.
       palette: colors of classes; the figures' colors for classes without one.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     classes, ground, distance = _panels(title, terrain)
     _draw_classes(classes, terrain, palette)
@@ -64,7 +61,7 @@ def plot_map(
     _draw_distance(distance, terrain, cost_to_go)
     figure = classes.figure
     assert isinstance(figure, Figure)
-    return save_figure(figure, path)
+    save_figure(figure, path)
 
 
 def _panels(title: str, terrain: UInt8[np.ndarray, "h w"]) -> list[Axes]:

@@ -193,15 +193,12 @@ def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) ->
     axes.minorticks_off()
 
 
-def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:
+def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> None:
     """Draw one point per episode, the authors' extra steps along x, ours along y, with a panel per group of houses.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       extra: group -> (authors', ours) of each episode, in percent.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     rows = -(-len(extra) // 2)
     figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
@@ -231,18 +228,15 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
     figure.supxlabel(
         f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {_SCALE_NOTE}", fontsize=9
     )
-    return save_figure(figure, path, dpi=200)
+    save_figure(figure, path, dpi=200)
 
 
-def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
+def plot_leaderboard(path: str | Path, table: Standings) -> None:
     """Draw steps relative to the reference, with a panel for each family, the best planner at the top.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       table: planner -> family -> standing.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     planners = in_order(table)[::-1]
     families = list(table[planners[0]])
@@ -262,7 +256,7 @@ def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
     all_axes[0].minorticks_off()
     all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])
     figure.supxlabel("steps relative to frontier exploration: mean of ratios, 95 % interval over maps", fontsize=7.5)
-    return save_figure(figure, path, dpi=200)
+    save_figure(figure, path, dpi=200)
 
 
 def planner_style(name: str) -> PlannerStyle:

@@ -152,18 +152,15 @@ class PredictedMap(NamedTuple):
     true_cost: Float[Cells, "n n"]
 
 
-def plot_search(path: str | Path, search: RecordedSearch) -> list[Path]:
+def plot_search(path: str | Path, search: RecordedSearch) -> None:
     """Draw moments of a search (Fig. 5 of the paper on dense cost maps), one per column.
 
     The rows show the true map with the path so far, the robot's map, and the costs of the controller with its sampled
     plans.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       search: the search, with the moments to show.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     moments, (left, right, bottom, top) = search.moments, search.extent
     panel = (PAGE_WIDTH - _BESIDE) / len(moments)
@@ -180,7 +177,7 @@ def plot_search(path: str | Path, search: RecordedSearch) -> list[Path]:
         handles=_legend(np.asarray(search.world.classes), search.target), loc="outside lower center", ncols=7,
         fontsize=FONT, frameon=False, handlelength=1.3, columnspacing=1.3,
     )  # fmt: skip
-    return save_figure(figure, path, DPI)
+    save_figure(figure, path, DPI)
 
 
 def _draw(panels: Iterable[Axes], search: RecordedSearch, moment: SearchMoment) -> None:
@@ -223,22 +220,19 @@ def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[
         yield np.array(canvas.buffer_rgba())[..., :3]
 
 
-def animate_search(path: str | Path, search: RecordedSearch) -> Path:
+def animate_search(path: str | Path, search: RecordedSearch) -> None:
     """Write an animation of a search, see `search_pictures`, as `figures.animation.write_animation` does."""
     paint = functools.partial(search_pictures, search)
-    return write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
+    write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
 
 
-def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[Path]:
+def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> None:
     """Draw a prediction (Fig. 4 of the paper on dense cost maps): map, occupancy and costs, next to the truth.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       found: prediction and truth.
       title: of the figure.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     cells, occupied, truly_occupied, cost, true_cost = (np.asarray(leaf) for leaf in found)
     figure = Figure(figsize=(PAGE_WIDTH, 4.0), layout="constrained")
@@ -260,7 +254,7 @@ def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[P
     panels["m"].plot(*(len(no_class) // 2,) * 2, "o", color=ROBOT_COLOR, markersize=4)
     _cost_bar(figure, high, [panels["c"], panels["t"]])
     figure.suptitle(title, fontsize=FONT)
-    return save_figure(figure, path, DPI)
+    save_figure(figure, path, DPI)
 
 
 def cost_image(costs: Float[np.ndarray, "h w"], high: float) -> Float[np.ndarray, "h w 4"]:

@@ -35,20 +35,17 @@ def plot_sweep(
     runs: Mapping[str, Sequence[Mapping[int, float]]],
     extra: Mapping[str, Sequence[float]],
     caption: str,
-) -> list[Path]:
+) -> None:
     """Draw a sweep: validation errors over training steps, and extra steps of planners with the networks.
 
     Each kind of run has a curve, the mean over its seeds, with a band of one standard deviation. A second panel shows
     the extra steps of each run as a point, with the mean of each kind.
 
     Args:
-      path: output path without ending.
+      path: output path without ending; PNG, SVG and PDF are written.
       runs: kind -> runs -> step -> error in cells; all runs of a kind were validated at the same steps.
       extra: kind -> extra steps of each run in percent; empty where no episodes were run.
       caption: description of networks and validation data.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 3.4 + 0.17 * len(runs)), layout="constrained")
     errors, *planner = figure.subplots(1, 1 + bool(extra), squeeze=False, width_ratios=(1.5, 1)[: 1 + bool(extra)])[0]
@@ -72,7 +69,7 @@ def plot_sweep(
         plain_axes(axes)
     figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=8)
     figure.supxlabel(caption, fontsize=8, color="#555555")
-    return save_figure(figure, path)
+    save_figure(figure, path)
 
 
 def save_learning_curve(

@@ -10,8 +10,7 @@ import io
 import json
 import math
 import stat
-import zipfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
@@ -212,26 +211,6 @@ def read_array(path: Path, remedy: str) -> np.ndarray:
         return _array_of(data)
     except Exception as error:  # a damaged header raises many kinds of errors
         raise InputError(f"{path}: is not a plain array ({str(error) or type(error).__name__}); {remedy}") from None
-
-
-def read_arrays(path: Path, names: Collection[str], remedy: str) -> dict[str, np.ndarray]:
-    """Arrays of an `.npz` file that `numpy.savez` wrote, by name.
-
-    Raises:
-      InputError: see `check_file`, or the file is damaged, compressed or lacks an array.
-    """
-    with opened(path, remedy) as file:
-        try:
-            size = path.stat().st_size
-            with zipfile.ZipFile(file) as archive:
-                members = {name: archive.getinfo(f"{name}.npy") for name in names}
-                for name, member in members.items():
-                    stored = member.compress_type == zipfile.ZIP_STORED
-                    if not (stored and member.file_size == member.compress_size < size):
-                        raise ValueError(f"{name} is compressed or has a wrong size")
-                return {name: _array_of(archive.read(member)) for name, member in members.items()}
-        except Exception as error:  # a damaged header raises many kinds of errors
-            raise InputError(f"{path}: cannot be read ({str(error) or type(error).__name__}); {remedy}") from None
 
 
 def _array_of(data: bytes) -> np.ndarray:

@@ -73,7 +73,7 @@ NETWORK_RIVALS: tuple[str, ...] = (
 
 def _rival(name: str, rules: Rules, **estimator: Estimator) -> MapRevisingPlanner:
     """A planner after another paper. The class `NextBestView` is in the file of `next_best_view`."""
-    rival = own_part("planner", f"dc2g_jax._src.rivals.{name}:{name.title().replace('_', '')}", RIVALS)
+    rival = own_part("planner", f"dc2g_jax._src.planning.rivals.{name}:{name.title().replace('_', '')}", RIVALS)
     return rival(rules, **estimator)
 
 

@@ -23,9 +23,6 @@ from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 #: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
 
-#: Axes of the mesh in training: runs are divided among the first, parts of a batch among the second.
-_RUNS, _PARTS = "runs", "parts"
-
 
 def check_numbers(learning_rate: float, **counts: int) -> None:
     """Check the learning rate and counts such as the number of steps.
@@ -138,15 +135,10 @@ def _optimizer(recipe: TrainingConfig, peak: Float[Array, ""] | float) -> optax.
     return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 
-def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
-    """The state before the first step."""
-    weights = compact_unet.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
-    return state_of(weights, _optimizer(recipe, 1.0), recipe.average_decay)
-
-
 def first_state(config: TrainingConfig) -> TrainingState:
     """The state of a run before its first step."""
-    return init_state(config.recipe, config.hyperparameters)
+    weights = compact_unet.init_weights(config.architecture, jax.random.key(jnp.uint32(config.seed)))
+    return state_of(weights, _optimizer(config.recipe, 1.0), config.average_decay)
 
 
 def mean_loss(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax._src.estimation.estimators import Estimator, TranslatorCostToGo
 from dc2g_jax._src.estimation.images import cost_to_go_image, largest_cost
-from dc2g_jax._src.estimation.metrics import Comparison, ImageMetrics, compare_images
+from dc2g_jax._src.estimation.metrics import Comparison, compare_images
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
 from dc2g_jax._src.grid.world import World
@@ -71,7 +71,7 @@ def _predicted_image(
 @jit
 def compare(
     estimator: Estimator, terrain: UInt8[Array, "s s"], cost_to_go: Float[Array, "s s"], seen: Array
-) -> tuple[ImageMetrics, Array, Array, Array]:
+) -> tuple[dict[str, Array], Array, Array, Array]:
     """Compare an estimator's image of one map with the true one.
 
     Args:
@@ -108,7 +108,7 @@ class HouseMetrics(NamedTuple):
 
         There is no line if all houses have the same distance. Houses without a value are ignored.
         """
-        metrics = {name: [row[name] for row in rows] for name in ImageMetrics._fields}
+        metrics = {name: [row[name] for row in rows] for name in rows[0]}
         fits = {}
         for name, values in metrics.items():
             known = np.isfinite(values)
@@ -154,9 +154,9 @@ def distances_from_training(dataset: HouseDataset, houses: Sequence[House]) -> l
     return [distance_to_training(squeezed(house), scale) for house in houses]
 
 
-def as_floats(metrics: ImageMetrics) -> dict[str, float]:
+def as_floats(metrics: Mapping[str, Array]) -> dict[str, float]:
     """Metrics as Python numbers, by name."""
-    return {name: float(value) for name, value in metrics._asdict().items()}
+    return {name: float(value) for name, value in metrics.items()}
 
 
 @jit

@@ -43,7 +43,6 @@ class Task(Generic[_State]):
 
     Attributes:
       steps: total number of optimizer steps.
-      init: makes the state before the first step.
       step: `state ->` new state and loss. The old state may be donated. A single run, whose loss is a scalar, stops if
         its loss is not finite; runs trained together have one loss each and continue.
       validate: `(state, step, losses) ->` lines of the log, one per run. Called at validations and after the last step;
@@ -51,7 +50,7 @@ class Task(Generic[_State]):
       validated: steps that earlier runs validated. A missing validation of the current step is made up for.
       watch: called as `watch(state, step, losses)` after each fetch, and once before the first step. It must not change
         the state.
-      place: puts the first state, or a restored one, on the devices of the task.
+      place: puts a state on the devices of the task.
       name: title of the progress bar.
       steps_per_look: maximum number of steps between fetches of the losses, which wait for the device.
       runs: names of the runs trained together; empty for a single one.
@@ -60,7 +59,6 @@ class Task(Generic[_State]):
     """
 
     steps: int
-    init: Callable[[], _State]
     step: Callable[[_State], tuple[_State, Array]]
     validate: Callable[[_State, int, Losses | None], Sequence[Mapping[str, Any]]]
     validated: Collection[int] = ()
@@ -111,7 +109,7 @@ class Checkpoints(Protocol):
     """Storage of training states, see `estimation.checkpoints.TrainingCheckpoints`."""
 
     def restore(self) -> Any:
-        """The newest state; `None` if there is none."""
+        """The newest state, or the first if none is saved."""
         ...
 
     def save(self, state: Any) -> None:
@@ -286,8 +284,7 @@ def train(
             raise KeyboardInterrupt
 
     with contextlib.closing(checkpoints), contextlib.closing(Curve(out, task.runs, track)) as curve:
-        state: Any = checkpoints.restore()
-        state = task.place(task.init() if state is None else state)
+        state: Any = task.place(checkpoints.restore())
         step = int(np.max(fetch(state.step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:
             try:

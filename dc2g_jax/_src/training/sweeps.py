@@ -17,7 +17,7 @@ from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import fetch
-from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, init_state, mean_error
+from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, mean_error
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import TrainingState, stacked
@@ -103,11 +103,6 @@ def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameter
     return stacked([config.hyperparameters for config in configs])
 
 
-def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
-    """The stacked states of several runs before the first step; see `init_state`."""
-    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
-
-
 def fetched_runs(states: Any) -> list[Any]:
     """The tree of each of several stacked runs, as NumPy arrays."""
     whole = jax.tree.map(fetch, states)
@@ -124,14 +119,13 @@ class StackedCheckpoints:
 
     of_runs: Sequence[TrainingCheckpoints]
 
-    def restore(self) -> TrainingState | None:
-        """The stacked states of the newest step that all runs have; `None` if there is none."""
+    def restore(self) -> TrainingState:
+        """The stacked states of the newest step that all runs have, or the first if there is none."""
         common = set.intersection(*(set(checkpoints.steps()) for checkpoints in self.of_runs))
         if not common:
             for checkpoints in self.of_runs:
                 checkpoints.delete()
-            return None
-        return stacked([checkpoints.restore(max(common)) for checkpoints in self.of_runs])
+        return stacked([checkpoints.restore(max(common, default=None)) for checkpoints in self.of_runs])
 
     def save(self, states: TrainingState) -> None:
         """Save the state of each run."""

@@ -31,12 +31,11 @@ from dc2g_jax._src.training.cost_to_go import (
     learning_rates,
     least_memory,
 )
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses
+from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, open_training_set
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image, TrackerName
-from dc2g_jax._src.training.training_sets import open_training_set
 
 #: When a training validates and saves unless it is told.
 PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)
@@ -45,12 +44,8 @@ PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)
 class Recording(Protocol):
     """Shows a training, see `viewer.training_recording.TrainingRecording`."""
 
-    def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
-        """Show a loss."""
-        ...
-
-    def predict(self, step: int, network: NetworkCostToGo) -> None:
-        """Show predictions."""
+    def look(self, step: int, loss: float | None, network: NetworkCostToGo) -> None:
+        """Show a loss, and predictions; predictions alone before the first step."""
         ...
 
     def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
@@ -183,13 +178,23 @@ def train(
         **watching.card,
     }
     with contextlib.closing(watching.recording) if watching.recording else contextlib.nullcontext():
-        checkpoints = TrainingCheckpoints(out, config, facts, first_state=first_state)
+        begun = functools.partial(_begun, network=network)
+        checkpoints = TrainingCheckpoints(out, config, facts, first_state=begun)
         task = _task(out, dataset, config, data, pauses, network, card, watching)
         state = loop.train(task, out, checkpoints, pauses, watching.track)
     trained = _network_of(state, config)
     return Trained(
         trained, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=trained)
     )
+
+
+def _begun(config: TrainingConfig, network: NetworkCostToGo | None) -> TrainingState:
+    """The state before the first step, with the weights of `network`, if given."""
+    state = first_state(config)
+    if network is None:
+        return state
+    fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
+    return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
 
 def _network_of(state: TrainingState, config: TrainingConfig) -> NetworkCostToGo:
@@ -206,7 +211,7 @@ def _task(
     card: Mapping[str, Any],
     watching: Watching,
 ) -> Task[TrainingState]:
-    """The training task. It starts from `network`, if given. Validations save the network with its card."""
+    """The training task, with masks of robots that `network` leads, if given. Validations save the network's card."""
     training, hyperparameters = CostToGoTraining(config.recipe, data.draw_batch), config.hyperparameters
     recording, mesh = watching.recording, mesh_for_batch(config.batch_size)
     # Raises before minutes of data collection.
@@ -216,20 +221,9 @@ def _task(
 
     validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
 
-    def init() -> TrainingState:
-        state = first_state(config)
-        if network is None:
-            return state
-        fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
-        return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
-
     def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
-        if recording is None:
-            return
-        if loss is None:
-            recording.predict(step, _network_of(state, config))
-        else:
-            recording.look(step, float(loss), _network_of(state, config))
+        if recording is not None:
+            recording.look(step, None if loss is None else float(loss), _network_of(state, config))
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         now = _network_of(state, config)
@@ -241,7 +235,6 @@ def _task(
 
     return Task(
         steps=config.steps,
-        init=init,
         step=lambda state: supervised_step(state, pairs, hyperparameters, training=training, mesh=mesh),
         place=functools.partial(placed, mesh=mesh),
         validate=validate,

@@ -1,7 +1,9 @@
 """Recordings of mapping for the rerun viewer: camera images, points, voxels, the map and the camera's path."""
 
 import functools
+import itertools
 import sys
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +22,7 @@ from dc2g_jax._src.mapping.semantic_map import MapSettings, SemanticMap, check_f
 from dc2g_jax._src.mapping.sequences import DEPTH_UNITS, ImageSequence, depth_steps, read_frame, read_picture
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.viewer import _legend as legend
-from dc2g_jax._src.viewer.columns import SO_FAR, first_view, image_style, open_recording, send, send_images
+from dc2g_jax._src.viewer.columns import SO_FAR, first_view, image_style, open_recording, send, send_images, send_track
 
 #: Number of steps that are sent together. Until then they are kept in memory.
 _CHUNK = 32
@@ -54,144 +56,125 @@ class MappedFrame(NamedTuple):
     terrain: UInt8[np.ndarray, "h w"]
 
 
-class CameraRecording:
-    """A recording that grows while a sequence is mapped. `close` it, or use it in a `with` statement.
+def record_camera(
+    file: Path,
+    frames: Iterable[MappedFrame],
+    *,
+    camera: Intrinsics,
+    settings: MapSettings,
+    path: Float[np.ndarray, "n 3"],
+    name: str,
+) -> tuple[UInt8[np.ndarray, "h w"], int]:
+    """Record the frames of a sequence and the map after each, while it is mapped.
 
     Args:
       file: file to write.
+      frames: frames that could be mapped, in order.
       camera: intrinsics of the camera.
       settings: settings of the map.
-      path: positions of the camera in the whole sequence, meters in the world, to frame the first view.
-      name: name of the recording in the viewer.
+      path: positions of the camera in all frames of the sequence, meters in the world, to frame the first view.
+      name: name of the sequence.
+
+    Returns:
+      The map seen from above, and the number of frames that could not be mapped.
 
     Raises:
-      InputError: the file cannot be written.
+      InputError: no frame could be mapped, or the file cannot be written.
     """
-
-    def __init__(
-        self, file: Path, *, camera: Intrinsics, settings: MapSettings, path: Float[np.ndarray, "n 3"], name: str
-    ):
-        self._camera, self._settings = camera, settings
-        pixels_a_point = camera.height * camera.width * len(path) / max(_POINTS, _FEWEST_POINTS * len(path))
-        self._stride = max(1, round(pixels_a_point**0.5))
-        self._stream = open_recording(file, name=name, blueprint=_layout(settings, path))
-        self._waiting: list[MappedFrame] = []
-        self._sent = 0
-        self._last: np.ndarray | None = None
-        self._describe()
-
-    def __enter__(self) -> "CameraRecording":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def add(self, mapped: MappedFrame) -> None:
-        """Add a step."""
-        self._waiting.append(mapped)
-        if len(self._waiting) == _CHUNK:
-            self._send()
-
-    def close(self) -> None:
-        """Write the remaining steps."""
-        if self._waiting:
-            self._send()
-        self._stream.flush()
-        self._stream.disconnect()
-
-    def _describe(self) -> None:
-        """Send static data: colors, frames of reference, the camera, and styles."""
-        stream, camera = self._stream, self._camera
-        style = functools.partial(stream.log, static=True)
-        style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        style("world", legend.terrain_context())
-        pinhole = rr.Pinhole(
-            focal_length=[camera.focal_x, camera.focal_y],
-            principal_point=[camera.center_x, camera.center_y],
-            resolution=[camera.width, camera.height],
-            camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=2 * self._settings.cell_size,
-        )
-        style(_IMAGE, pinhole)
-        steps = rr.components.ImageFormat(
-            width=camera.width, height=camera.height, channel_datatype=rr.ChannelDatatype.U16
-        )
-        reach = [0, DEPTH_UNITS * self._settings.reach]
-        style(_DEPTH, rr.DepthImage.from_fields(format=steps, meter=DEPTH_UNITS, colormap="Turbo", depth_range=reach))
-        style("world/points", rr.Points3D.from_fields(radii=-2.0))
-        style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
-        style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
-        for image in (_CLASSES, "map", "legend"):
-            image_style(stream, image, legend.terrain_context(), 0)
-        style("map/path", rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30))
-        style("map/robot", rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60))
-        style("map/robot/view", rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61))
-        classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
-        style("legend", rr.SegmentationImage(classes[:, None]))
-        places = np.stack([0 * classes + 0.5, classes + 0.3], axis=1)
-        names = [name.replace("_", " ") for name in ("not observed", *CLASS_NAMES[1:])]
-        style("legend/names", rr.Points2D(places, radii=0.0, colors=(255, 255, 255), labels=names, show_labels=True))
-
-    def _send(self) -> None:
-        """Send the pending steps."""
-        stream = self._stream
-        mapped, self._waiting = self._waiting, []
-        steps = self._sent + np.arange(len(mapped))
-        self._sent += len(mapped)
+    pixels_a_point = camera.height * camera.width * len(path) / max(_POINTS, _FEWEST_POINTS * len(path))
+    stride = max(1, round(pixels_a_point**0.5))
+    stream = open_recording(file, name=name, blueprint=_layout(settings, path))
+    _describe(stream, camera, settings)
+    waiting = iter(frames)
+    poses: list[CameraPose] = []
+    while mapped := list(itertools.islice(waiting, _CHUNK)):
+        steps = len(poses) + np.arange(len(mapped))
+        poses += [one.frame.pose for one in mapped]
         pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
         if pictures:
             send(stream, _PICTURE, np.array(list(pictures)), rr.EncodedImage.columns(blob=list(pictures.values())))
-        frames = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.frame for one in mapped))
-        depth = depth_steps(frames.depth.reshape(len(steps), -1))
+        depth = depth_steps(np.stack([one.frame.depth for one in mapped]).reshape(len(steps), -1))
         send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.view(np.uint8)))
-        send_images(stream, _CLASSES, steps, frames.classes)
-        self._send_points(steps, [one.frame for one in mapped])
-        self._send_voxels(steps, [one.voxels for one in mapped])
+        send_images(stream, _CLASSES, steps, np.stack([one.frame.classes for one in mapped]))
+        _send_points(stream, steps, [one.frame for one in mapped], camera, stride)
+        _send_voxels(stream, steps, [one.voxels for one in mapped], settings)
         send_images(stream, "map", steps, np.stack([one.terrain for one in mapped]))
-        self._send_path(steps, frames.pose)
+        terrain = mapped[-1].terrain
+    if not poses:
+        raise InputError(f"{name}: something is wrong with all of its {len(path)} frames; see the lines above")
+    _send_path(stream, poses, settings.cell_size)
+    stream.flush()
+    stream.disconnect()
+    return terrain, len(path) - len(poses)
 
-    def _send_points(self, steps: np.ndarray, frames: list[Frame]) -> None:
-        """Send the points of each frame in the world, evenly subsampled."""
-        every = np.s_[:: self._stride, :: self._stride]
-        clouds, classes = [], []
-        for frame in frames:
-            kept = np.asarray(frame.depth)[every] > 0
-            clouds.append(np.asarray(_points(frame.depth, self._camera, frame.pose))[every][kept])
-            classes.append(np.asarray(frame.classes)[every][kept])
-        cloud = rr.Points3D.columns(positions=np.concatenate(clouds), class_ids=np.concatenate(classes))
-        send(self._stream, "world/points", steps, cloud.partition([len(cloud) for cloud in clouds]))
 
-    def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
-        """Send the occupied voxels as boxes in the colors of their classes."""
-        cell, level_height = self._settings.cell_size, self._settings.level_height
-        centers, classes = [], []
-        for voxels in jax.tree.map(jnp.asarray, maps):
-            level, row, column = np.nonzero(np.asarray(voxels.occupied))
-            middles = [(column + 0.5) * cell, -(row + 0.5) * cell, level * level_height]
-            centers.append(np.stack(middles, axis=1).astype(np.float32))
-            classes.append(np.asarray(voxels.classes)[level, row, column])
-        counts = [len(center) for center in centers]
-        sizes = np.tile(_DRAWN / 2 * np.array([cell, cell, level_height], np.float32), (sum(counts), 1))
-        boxes = rr.Boxes3D.columns(centers=np.concatenate(centers), half_sizes=sizes, class_ids=np.concatenate(classes))
-        send(self._stream, "world/voxels", steps, boxes.partition(counts))
+def _describe(stream: rr.RecordingStream, camera: Intrinsics, settings: MapSettings) -> None:
+    """Send static data: colors, frames of reference, the camera, and styles."""
+    style = functools.partial(stream.log, static=True)
+    style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    style("world", legend.terrain_context())
+    pinhole = rr.Pinhole(
+        focal_length=[camera.focal_x, camera.focal_y],
+        principal_point=[camera.center_x, camera.center_y],
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=2 * settings.cell_size,
+    )
+    style(_IMAGE, pinhole)
+    steps = rr.components.ImageFormat(width=camera.width, height=camera.height, channel_datatype=rr.ChannelDatatype.U16)
+    reach = [0, DEPTH_UNITS * settings.reach]
+    style(_DEPTH, rr.DepthImage.from_fields(format=steps, meter=DEPTH_UNITS, colormap="Turbo", depth_range=reach))
+    style("world/points", rr.Points3D.from_fields(radii=-2.0))
+    style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
+    style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
+    for image in (_CLASSES, "map", "legend"):
+        image_style(stream, image, legend.terrain_context(), 0)
+    classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
+    style("legend", rr.SegmentationImage(classes[:, None]))
+    places = np.stack([0 * classes + 0.5, classes + 0.3], axis=1)
+    names = [name.replace("_", " ") for name in ("not observed", *CLASS_NAMES[1:])]
+    style("legend/names", rr.Points2D(places, radii=0.0, colors=(255, 255, 255), labels=names, show_labels=True))
 
-    def _send_path(self, steps: np.ndarray, poses: CameraPose) -> None:
-        """Send the camera's pose and path: one segment of the path per step, which the viewer accumulates."""
-        stream = self._stream
-        here, turns = np.asarray(poses.position), np.asarray(poses.rotation)
-        send(stream, _CAMERA, steps, rr.Transform3D.columns(translation=here, mat3x3=turns.reshape(-1, 9)))
-        on_map = here[:, :2] * (1, -1) / self._settings.cell_size
-        ahead = turns[:, :2, 2] * (2.5, -2.5)
-        send(stream, "map/robot", steps, rr.Points2D.columns(positions=on_map))
-        send(stream, "map/robot/view", steps, rr.Arrows2D.columns(origins=on_map, vectors=ahead))
-        before = np.concatenate([here[:1] if self._last is None else self._last[None], here[:-1]])
-        self._last = here[-1]
-        moving = np.flatnonzero(np.any(here != before, axis=1))
-        if len(moving):
-            pieces = np.stack([before[moving], here[moving]], axis=1)
-            send(stream, "world/path", steps[moving], rr.LineStrips3D.columns(strips=pieces))
-            flat = (pieces[..., :2] * (1, -1) / self._settings.cell_size).astype(np.float32)
-            send(stream, "map/path", steps[moving], rr.LineStrips2D.columns(strips=flat))
+
+def _send_points(
+    stream: rr.RecordingStream, steps: np.ndarray, frames: list[Frame], camera: Intrinsics, stride: int
+) -> None:
+    """Send the points of each frame in the world, evenly subsampled."""
+    every = np.s_[::stride, ::stride]
+    clouds, classes = [], []
+    for frame in frames:
+        kept = np.asarray(frame.depth)[every] > 0
+        clouds.append(np.asarray(_points(frame.depth, camera, frame.pose))[every][kept])
+        classes.append(np.asarray(frame.classes)[every][kept])
+    cloud = rr.Points3D.columns(positions=np.concatenate(clouds), class_ids=np.concatenate(classes))
+    send(stream, "world/points", steps, cloud.partition([len(cloud) for cloud in clouds]))
+
+
+def _send_voxels(stream: rr.RecordingStream, steps: np.ndarray, maps: list[SemanticMap], settings: MapSettings) -> None:
+    """Send the occupied voxels as boxes in the colors of their classes."""
+    cell, level_height = settings.cell_size, settings.level_height
+    centers, classes = [], []
+    for voxels in jax.tree.map(jnp.asarray, maps):
+        level, row, column = np.nonzero(np.asarray(voxels.occupied))
+        middles = [(column + 0.5) * cell, -(row + 0.5) * cell, level * level_height]
+        centers.append(np.stack(middles, axis=1).astype(np.float32))
+        classes.append(np.asarray(voxels.classes)[level, row, column])
+    counts = [len(center) for center in centers]
+    sizes = np.tile(_DRAWN / 2 * np.array([cell, cell, level_height], np.float32), (sum(counts), 1))
+    boxes = rr.Boxes3D.columns(centers=np.concatenate(centers), half_sizes=sizes, class_ids=np.concatenate(classes))
+    send(stream, "world/voxels", steps, boxes.partition(counts))
+
+
+def _send_path(stream: rr.RecordingStream, poses: Sequence[CameraPose], cell_size: float) -> None:
+    """Send the camera's poses and path: one segment of the path per step, which the viewer accumulates."""
+    here, turns = (np.stack(parts) for parts in zip(*((one.position, one.rotation) for one in poses), strict=True))
+    send(stream, _CAMERA, np.arange(len(here)), rr.Transform3D.columns(translation=here, mat3x3=turns.reshape(-1, 9)))
+    moves = 1 + np.flatnonzero(np.any(np.diff(here, axis=0), axis=1))
+    if len(moves):
+        pieces = np.stack([here[moves - 1], here[moves]], axis=1)
+        send(stream, "world/path", moves, rr.LineStrips3D.columns(strips=pieces))
+    on_map = (here[:, :2] * (1, -1) / cell_size).astype(np.float32)
+    send_track(stream, "map/robot", on_map, turns[:, :2, 2] * (2.5, -2.5), 0.8)
 
 
 def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Blueprint:
@@ -224,7 +207,7 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
     bounds = rrb.VisualBounds2D(x_range=[-0.5, settings.columns + 0.5], y_range=[-0.5, settings.rows + 0.5])
     names = rrb.VisualBounds2D(x_range=[-0.5, 1.5], y_range=[-0.3, len(CLASS_NAMES) + 0.3])
     seen_from_above = rrb.Spatial2DView(
-        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/path": SO_FAR}
+        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/robot/path": SO_FAR}
     )
     return first_view(
         rrb.Horizontal(
@@ -259,20 +242,19 @@ def record_mapping(
       InputError: all frames are invalid, or the file cannot be written.
     """
     take, read = jit(integrate, static_argnums=3), jit(terrain_map, static_argnums=1)
-    voxels, wrong = empty_map(settings), 0
-    path = np.stack([moment.pose.position for moment in sequence.moments])
-    with CameraRecording(file, camera=sequence.intrinsics, settings=settings, path=path, name=name) as recording:
+
+    def mapped() -> Iterator[MappedFrame]:
+        voxels = empty_map(settings)
         for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
             frame = read_frame(sequence, moment)
             try:
                 check_frame(frame, settings)
             except InputError as error:
                 tqdm.write(f"left out {moment.depth}: {error}", file=sys.stderr)
-                wrong += 1
                 continue
             voxels = take(voxels, frame, sequence.intrinsics, settings)
             terrain, after = jax.device_get((read(voxels, settings), voxels))
-            recording.add(MappedFrame(frame, read_picture(moment), after, terrain))
-    if wrong == len(sequence.moments):
-        raise InputError(f"{name}: something is wrong with all of its {wrong} frames; see the lines above")
-    return np.asarray(read(voxels, settings)), wrong
+            yield MappedFrame(frame, read_picture(moment), after, terrain)
+
+    path = np.stack([moment.pose.position for moment in sequence.moments])
+    return record_camera(file, mapped(), camera=sequence.intrinsics, settings=settings, path=path, name=name)

@@ -15,11 +15,8 @@ from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, sen
 _MAPS = ("true_map", "robots_map", "costs")
 
 
-def record_search(path: str | Path, name: str, search: RecordedSearch) -> Path:
+def record_search(path: str | Path, name: str, search: RecordedSearch) -> None:
     """Write a rerun file (`.rrd`) of a search: maps at each decision, in cells of the house, and the path.
-
-    Returns:
-      The path.
 
     Raises:
       InputError: the file cannot be written.
@@ -68,4 +65,3 @@ def record_search(path: str | Path, name: str, search: RecordedSearch) -> Path:
     send_curve(stream, "lowest_cost", lowest)
     stream.flush()
     stream.disconnect()
-    return Path(path)

@@ -200,17 +200,18 @@ class TrainingRecording:
         for row, image in (("known", terrain), ("exact", _side_by_side(exact))):
             self._stream.log(f"maps/{row}", rr.SegmentationImage(image), static=True)
 
-    def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
+    def look(self, step: int, loss: float | None, network: NetworkCostToGo) -> None:
         """Add a point to the curves and, now and then, predictions for the maps.
 
         Args:
           step: optimizer steps taken.
-          loss: mean loss of the latest steps.
+          loss: mean loss of the latest steps; `None` before the first.
           network: current network.
         """
-        self._add(step, {"loss": loss, "learning_rate": float(self._rates[step - 1])})
-        if self._predicted is None or step >= self._predicted + _STEPS_PER_PREDICTION:
-            self.predict(step, network)
+        if loss is not None:
+            self._add(step, {"loss": loss, "learning_rate": float(self._rates[step - 1])})
+        if loss is None or self._predicted is None or step >= self._predicted + _STEPS_PER_PREDICTION:
+            self._predict(step, network)
 
     def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
         """Add the results of a validation, and predictions for the maps.
@@ -223,15 +224,10 @@ class TrainingRecording:
         kinds = {name: "median" if "median" in name else "mean" for name in figures}
         self._add(step, {f"validation/{kinds[name]}/{name}": value for name, value in figures.items()})
         if self._predicted != step:
-            self.predict(step, network)
+            self._predict(step, network)
 
-    def predict(self, step: int, network: NetworkCostToGo) -> None:
-        """Add predictions for the maps.
-
-        Args:
-          step: optimizer steps taken.
-          network: current network.
-        """
+    def _predict(self, step: int, network: NetworkCostToGo) -> None:
+        """Add predictions for the maps."""
         self._predicted = step
         predicted = np.asarray(_expected_cost(network, self._terrain))
         difference = np.where(self._counts, predicted - np.where(self._counts, self._exact, 0), 0)

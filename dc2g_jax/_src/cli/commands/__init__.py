@@ -16,7 +16,10 @@ from dc2g_jax._src.errors import InputError, reader_may_leave, require_extra
 #: Command name -> its module here, and its description. `python -m experiments.MODULE` runs it in a checkout.
 COMMANDS = {
     "fig4": ("reproduce_fig4", "Fig. 4: predictions of a network on whole and partial maps of test houses"),
-    "fig5": ("reproduce_fig5", "Fig. 5: three losses compared throughout training"),
+    "fig5": (
+        "reproduce_fig5",
+        "Fig. 5: train the paper's image-to-image translator, three losses compared throughout training",
+    ),
     "fig6": ("reproduce_fig6", "Fig. 6: networks on every test house, against its distance from training houses"),
     "fig7": ("reproduce_fig7", "Fig. 7: extra steps beyond an oracle, by planner and neighborhood"),
     "fig8": ("reproduce_fig8", "Fig. 8: planners side by side from one start"),
@@ -33,7 +36,6 @@ COMMANDS = {
     "draw dataset": ("draw_dataset", "every house of a dataset as a small map"),
     "draw episodes": ("draw_episodes", "figures of earlier episodes"),
     "train": ("train", "train the cost-to-go network"),
-    "train-translator": ("train_translator", "train the paper's image-to-image translator"),
     "sweep": ("sweep_losses", "train networks with many losses, learning rates, widths and seeds"),
     "export": ("export_network", "write a trained network as an ONNX file"),
     "objectnav fig5": ("objectnav_fig5", "dense cost maps, Figs. 4 and 5: a search for an object"),

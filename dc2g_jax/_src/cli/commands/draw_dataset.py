@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.contact_sheets import contact_pages, plot_contact_page
 from dc2g_jax._src.readers.houses import open_dataset
@@ -36,7 +36,8 @@ def main(options: Options) -> None:
     title = f"{dataset.name}: {len(houses)} houses"
     for number, rows in enumerate(tqdm(pages, desc="drawing", unit="page", file=sys.stderr), 1):
         plot_contact_page(out / f"page-{number}", title, f"page {number} of {len(pages)}", rows)
-    print(f"{title}, pages: {len(pages)}, written to {out}: page-1.png, page-1.svg, page-1.pdf ...")
+    print(f"{title}, pages: {len(pages)}")
+    print_files(out)
 
 
 if __name__ == "__main__":

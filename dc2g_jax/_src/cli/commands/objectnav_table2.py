@@ -16,7 +16,7 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, CostMapEstimator, load_costs
+from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator, load_costs
 from dc2g_jax._src.search_indoors.learning.training import CostMapConfig, figures, validation_samples
 from dc2g_jax._src.search_indoors.search.evaluation import (
     ABLATION_TITLES,
@@ -56,7 +56,7 @@ def open_networks(places: tuple[str | Path, ...]) -> dict[str, CostMapEstimator]
     found: dict[str, CostMapEstimator] = {}
     for place in places or (None,):
         network = load_costs(place)
-        name = next(name for name, inputs in ABLATIONS.items() if inputs == network.architecture.inputs)
+        name = network.architecture.inputs
         if name in found:
             raise InputError(
                 f"--networks {place}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"

@@ -5,7 +5,6 @@ After an interruption, --resume continues where it stopped.
 
 import dataclasses
 import functools
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,25 +14,22 @@ import tyro
 
 from dc2g_jax._src.cli.common import check_seed, command_line
 from dc2g_jax._src.cli.options import TrainingOptions, require_positive
-from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
+from dc2g_jax._src.cli.outputs import CommandOptions, command_written, commit, output_folder
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax._src.estimation.weights import write_network
-from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, read_network, write_network
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, TrainedEncoder, load_encoder
+from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.learning.networks import (
-    ABLATIONS,
-    ENCODER_FILE,
+    COST_MAPS,
+    ENCODER_FOLDER,
     INPUT_CHANNELS,
-    NETWORK_FILE,
     CostMapArchitecture,
-    save_costs,
+    Inputs,
 )
 from dc2g_jax._src.search_indoors.learning.training import (
     RECIPES,
@@ -46,9 +42,9 @@ from dc2g_jax._src.search_indoors.learning.training import (
     validation_samples,
 )
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.training.cost_to_go_data import kept_arrays
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
-from dc2g_jax._src.training.training_sets import kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -57,8 +53,19 @@ _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
 _VALIDATION_SEED = 1_000_003
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _CollectionOptions(CommandOptions):
+    """As `DataOptions`.
+
+    Attributes:
+      collection: samples to collect in the houses.
+    """
+
+    collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
+
+
 @dataclasses.dataclass(frozen=True)
-class Options(TrainingOptions, Pauses):
+class Options(TrainingOptions, Pauses, _CollectionOptions):
     """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
@@ -66,8 +73,7 @@ class Options(TrainingOptions, Pauses):
       count: number of training houses; by default all of a folder, or 500 procedural ones.
       strict: reject a file of houses at its first invalid line, instead of skipping the line.
       validation_houses: number of houses of the validation split.
-      collection: samples to collect in the houses.
-      encoder: image encoder of another training, its `encoder.safetensors`, which is copied to `out`; by default one is
+      encoder: image encoder of another training, its folder `encoder`, which is copied to `out`; by default one is
         trained first.
       encoder_steps: optimizer steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that is better after minutes of training.
@@ -87,13 +93,12 @@ class Options(TrainingOptions, Pauses):
     count: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     strict: bool = False
     validation_houses: int = 20
-    collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
-    encoder: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    encoder: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     encoder_steps: int = 3000
     recipe: Literal["better", "paper"] = "better"
     learning_rate: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     loss: str = CostMapConfig.loss
-    inputs: Literal["both", "semantic", "midlevel"] = "both"
+    inputs: Inputs = CostMapArchitecture.inputs
     patch: int = CostMapArchitecture.patch
     widths: tuple[int, ...] = CostMapArchitecture.widths
     steps: int = CostMapConfig.steps
@@ -111,7 +116,7 @@ class Options(TrainingOptions, Pauses):
         """
         try:
             architecture = CostMapArchitecture(
-                patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
+                patch=self.patch, widths=self.widths, features=features, inputs=self.inputs
             )
         except InputError as error:
             raise InputError(f"--{error}") from None
@@ -127,12 +132,12 @@ class Options(TrainingOptions, Pauses):
 
 def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
-    own, folder = options.out / ENCODER_FILE, options.out / "encoder"
-    if options.encoder is not None and not own.exists():
-        with replacing(own) as unfinished:
-            shutil.copyfile(options.encoder, unfinished)
-    if own.exists() and (not folder.exists() or Log(folder).by_step()):  # it was given, or its training has ended
-        return load_encoder(own)
+    folder = options.out / ENCODER_FOLDER
+    if options.encoder is not None and not (folder / CARD).exists():
+        _, weights, architecture, card = read_network(options.encoder, [ENCODER])
+        write_network(folder, weights, architecture, ENCODER, card)
+    if options.encoder is not None or Log(folder).by_step():  # it was given, or its training has ended
+        return load_encoder(folder)
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
     )
@@ -142,13 +147,13 @@ def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder
         training,
         views,
         save=lambda encoder, losses: write_network(
-            own, encoder.weights, encoder.architecture, {"losses": losses, **made}
+            folder, encoder.weights, encoder.architecture, ENCODER, {"losses": losses, **made}
         ),
     )
-    checkpoints = TrainingCheckpoints(folder, training, first_state=lambda _: task.init())
+    checkpoints = TrainingCheckpoints(folder, training, first_state=EncoderTraining.first_state)
     train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)
     # Load the half-precision weights that will be used.
-    return load_encoder(own)
+    return load_encoder(folder)
 
 
 def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses: int) -> JourneySet:
@@ -185,12 +190,11 @@ def training_task(
             "commit": commit(),
             "validation": found,
         }
-        save_costs(options.out, weights, config.architecture, card)
+        write_network(options.out, weights, config.architecture, COST_MAPS, card)
         return [found]
 
     return Task(
         steps=config.steps,
-        init=functools.partial(first_state, config),
         step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
         validate=validate,
         validated=Log(options.out).by_step(),
@@ -205,7 +209,7 @@ def main(options: Options) -> None:
     require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
     check_seed(options.collection.data_seed, "data-seed")
     options.check_pauses()
-    if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
+    if options.encoder is not None and not (options.out / ENCODER_FOLDER / CARD).exists():
         load_encoder(options.encoder)
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
     maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
@@ -222,15 +226,16 @@ def main(options: Options) -> None:
     output_folder(options, "objectnav_train", free=free, inputs=inputs)
     encoder = _open_encoder(options, houses)
     collection = options.collection
-    data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
+    own, others = options.out / "data.safetensors", options.out / "validation.safetensors"
+    data = kept(own, functools.partial(collect, houses, encoder, collection), len(houses))
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
-    validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
+    validation = kept(others, functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
     config = options.training(encoder.architecture.features)
     facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
     train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)
-    print(f"Trained: {options.out / NETWORK_FILE}")
+    print(f"Trained: {options.out}")
 
 
 if __name__ == "__main__":

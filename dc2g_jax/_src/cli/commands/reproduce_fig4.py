@@ -1,6 +1,6 @@
 """The paper's Fig. 4: predictions of a network on unseen maps, whole and partial.
 
-`python -m experiments.reproduce_fig4 --network checkpoints/translator/network`
+`python -m experiments.reproduce_fig4 --network outputs/fig5/runs/l1+gan-seed0/network`
 """
 
 import dataclasses
@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
-from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.figures.image_figures import Example, plot_translations
@@ -21,7 +21,7 @@ from dc2g_jax._src.training.image_pairs import MASK_SEEDS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions):
     """Reproduce Fig. 4: input, prediction and truth on whole and partial maps of test houses.
 
     The network may be of either kind.
@@ -56,8 +56,8 @@ def main(options: Options) -> None:
     full = [example(network, house, everything) for house in chosen[::2]]
     partial = [example(network, house, mask) for house, mask in zip(chosen[1::2], masks, strict=True)]
     name = "the network that comes with the package" if options.network is None else str(options.network)
-    files = plot_translations(out / "fig4", full, partial, f"Network: {name}. Test houses of {dataset.name}.")
-    print(f"Written to {out}: {', '.join(path.name for path in files)}")
+    plot_translations(out / "fig4", full, partial, f"Network: {name}. Test houses of {dataset.name}.")
+    print_files(out)
 
 
 if __name__ == "__main__":

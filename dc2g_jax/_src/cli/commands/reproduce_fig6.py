@@ -1,6 +1,6 @@
 """The paper's Fig. 6: cost-to-go images of whole test maps, against each map's distance from the training houses.
 
-`python -m experiments.reproduce_fig6 --network checkpoints/translator/network checkpoints/mine/network`
+`python -m experiments.reproduce_fig6 --network outputs/fig5/runs/l1+gan-seed0/network checkpoints/mine/network`
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, SharedOptions
+from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder, print_files
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.figures.image_figures import METRIC_LABELS, plot_by_similarity
@@ -24,7 +24,7 @@ from dc2g_jax._src.training.image_pairs import GRID_CELLS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, OutOptions, SharedOptions):
+class Options(DatasetOptions, OutOptions):
     """Reproduce Fig. 6: five metrics of each network on every test house, against its distance from training houses.
 
     Attributes:

@@ -31,7 +31,7 @@ from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, ope
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g, with_authors
+from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS, with_authors
 from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
 from dc2g_jax._src.viewer.recording import record_frames
 
@@ -65,16 +65,6 @@ _PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
 #: Number of summary columns for a single house, which has no interval over houses.
 _OF_A_HOUSE = Summary._fields.index("mean_low")
-
-
-def _sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
-    """A runner and sampled starts: the same number in every test house that can be run, so that houses weigh equally.
-
-    Raises:
-      InputError: there are no starts, or the houses cannot be run together.
-    """
-    starts = sample_starts(usable_houses(dataset, "test"), options.starts_per_house, seed=options.seed)
-    return Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()), starts
 
 
 def drawn(planners: Sequence[str]) -> list[str]:
@@ -164,31 +154,27 @@ def main(options: Options) -> None:
             "them, or --settings paper for sampled starts"
         )
     network = network_for(options.planner, options.network)
-    sampled = None if options.settings == "published" else _sampled_episodes(dataset, options)
+    starts: list[Start] = []
+    if options.settings != "published":  # the same number in every house that can be run: houses weigh equally
+        starts = sample_starts(usable_houses(dataset, "test"), options.starts_per_house, seed=options.seed)
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
     out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.name == PROCEDURAL else dataset.name
     tables: dict[str, Table] = {}
     entries: dict[str, list[ExtraSteps]] = {}
     results: dict[str, list[EpisodeResult]] = {}
-    ratio: dict[str, dict[str, float]] = {}
     if options.settings != "paper" and dataset.source == "published":
         results["published"] = table.published(dataset, options.planner, network)
         entries["published"] = with_authors(results["published"])
         tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
-        ratio = frontier_over_dc2g(results["published"])
         print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
-        if ratio:
-            print("\nmean of frontier steps / dc2g steps, less one, %")
-        for whose, row in ratio.items():
-            print(f"{whose:18}" + "".join(f"{row[group]:>11.1f}{'':9}" for group in PUBLISHED_GROUPS))
     elif options.settings != "paper":
         tell_on_stderr(f"Left out: the 400 published episodes, which need the published houses, not {dataset.name}")
-    if sampled is not None:
+    if options.settings != "published":
         for house in dataset.split("test"):
             if reason := why_no_episode(house):
                 tell_on_stderr(f"Left out: house {house.name}: {reason}")
-        runner, starts = sampled
         results["paper"] = table.run(runner, starts, options.planner, network)
         entries["paper"] = [
             ExtraSteps(one.planner, group_of(dataset.house(one.house)) or "test", one.house, one.extra, one.success)
@@ -217,7 +203,6 @@ def main(options: Options) -> None:
         "seconds": round(time.perf_counter() - began, 1),
         "published": _as_json(tables.get("published", {})),
         "paper": _as_json(tables.get("paper", {})),
-        "frontier_over_dc2g": ratio,
     }
     write_json(out / "results.json", facts)
     print(f"\nIn {facts['seconds']} s:")

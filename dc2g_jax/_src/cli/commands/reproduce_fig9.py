@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import sys
-from pathlib import Path
 
 import cv2
 import jax
@@ -29,9 +28,9 @@ from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
-from dc2g_jax._src.vehicles.drive import STATUS_NAMES, Equipment, reset
+from dc2g_jax._src.vehicles.drive import STATUS_NAMES, reset
 from dc2g_jax._src.vehicles.fleet import Moment, moments, sites_of
-from dc2g_jax._src.viewer.camera_recording import CameraRecording, MappedFrame
+from dc2g_jax._src.viewer.camera_recording import MappedFrame, record_camera
 
 #: Number of moments in the figure.
 _ROWS = 4
@@ -58,13 +57,10 @@ class Options(DrivingOptions, DatasetOptions, OutOptions):
     seed: int = 0
 
 
-def record(file: Path, drive: list[Moment], robot: Equipment, name: str) -> None:
-    """Write the rerun recording of a drive."""
-    path = np.stack([np.asarray(moment.frame.pose.position) for moment in drive])
-    with CameraRecording(file, camera=robot.camera, settings=robot.mapping, path=path, name=name) as recording:
-        for moment in tqdm(drive, desc="recording", unit="frame", file=sys.stderr):
-            _, encoded = cv2.imencode(".png", moment.picture[..., ::-1])
-            recording.add(MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, moment.robot.terrain))
+def mapped(moment: Moment) -> MappedFrame:
+    """A moment of a drive as a recording shows it."""
+    _, encoded = cv2.imencode(".png", moment.picture[..., ::-1])
+    return MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, np.asarray(moment.robot.terrain))
 
 
 def main(options: Options) -> None:
@@ -93,7 +89,9 @@ def main(options: Options) -> None:
     drive = list(tqdm(moments(first, site, robot, SECONDS_LIMIT), desc="driving", unit="frame", file=sys.stderr))
     last = drive[-1].robot
     plot_moments(out / "fig9", drive, _ROWS, robot.mapping.cell_size)
-    record(out / "fig9.rrd", drive, robot, house.name)
+    path = np.stack([np.asarray(moment.frame.pose.position) for moment in drive])
+    frames = map(mapped, tqdm(drive, desc="recording", unit="frame", file=sys.stderr))
+    record_camera(out / "fig9.rrd", frames, camera=robot.camera, settings=robot.mapping, path=path, name=house.name)
     known = last.terrain != 0
     right = 100 * np.mean((last.terrain == house.terrain)[known])
     print(f"{house.name}: {STATUS_NAMES[int(last.status)]} after {int(last.periods) / 10:.1f} s, {len(drive)} frames")

@@ -24,7 +24,6 @@ from dc2g_jax._src.figures.training_figures import plot_sweep
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.tables import write_table
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.rollouts.devices import fetch, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
@@ -36,13 +35,12 @@ from dc2g_jax._src.training.cost_to_go import (
     learning_rates,
     least_memory,
 )
-from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, validation_pairs
+from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, open_training_set, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image, run_folder
-from dc2g_jax._src.training.training_sets import open_training_set
 from dc2g_jax._src.viewer.training_recording import prediction_picture
 
 #: Number of validation pairs, and of those in pictures for a tracker.
@@ -141,7 +139,6 @@ def train_group(
 
     task = Task(
         steps=recipe.steps,
-        init=lambda: jit(sweeps.init_states, static_argnums=0)(recipe, hyperparameters),
         step=lambda states: supervised_step(states, data, hyperparameters, training=training, mesh=mesh),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),

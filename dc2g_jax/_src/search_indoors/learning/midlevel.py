@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from flax import nnx, struct
 from jaxtyping import Array, Float, UInt8
 
+from dc2g_jax._src.estimation.checkpoints import Kind, read_network
 from dc2g_jax._src.estimation.compact_unet import patches
-from dc2g_jax._src.estimation.weights import read_network, with_weights
+from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 
@@ -95,15 +97,14 @@ class TrainedEncoder:
         return with_weights(SmallEncoder, self.architecture, self.weights).encode(images)
 
 
-def load_encoder(path: str | Path) -> TrainedEncoder:
-    """Read an encoder from a safetensors file, see `estimation.weights.write_network`.
-
-    Raises:
-      InputError: the file cannot be read or holds no encoder.
-    """
-    return TrainedEncoder(*read_network(path, SmallEncoder, _read_architecture)[:2])
+#: Encoders as they are saved.
+ENCODER = Kind(
+    "encoder", EncoderArchitecture, lambda architecture: SmallEncoder, OBJECT_CLASSES, "dc2g objectnav train",
+    np.float16,
+)  # fmt: skip
 
 
-def _read_architecture(facts: dict[str, Any]) -> EncoderArchitecture:
-    """The architecture from JSON, which has lists instead of tuples."""
-    return EncoderArchitecture(tuple(facts["widths"]), int(facts["features"]))
+def load_encoder(folder: str | Path) -> TrainedEncoder:
+    """Read an encoder, see `estimation.checkpoints.read_network`."""
+    _, weights, architecture, _ = read_network(folder, [ENCODER])
+    return TrainedEncoder(weights, architecture)

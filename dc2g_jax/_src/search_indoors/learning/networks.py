@@ -9,10 +9,9 @@ global map around the same center, averaged over 3x3 cells. Each has 16 semantic
 """
 
 import dataclasses
-import hashlib
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -21,19 +20,19 @@ from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import Kind, read_network
 from dc2g_jax._src.estimation.compact_unet import Down, Residual, Up, patches, unpatched
 from dc2g_jax._src.estimation.hub import local_folder
-from dc2g_jax._src.estimation.weights import read_network, with_weights, write_network
-from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning.midlevel import TrainedEncoder, load_encoder
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import MAP_CHANNELS, IndoorMapSettings
 
-#: The files of a trained network and of the encoder that it was trained with, in one folder.
-NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
+#: Within the folder of a network, that of the encoder that it was trained with.
+ENCODER_FOLDER = "encoder"
 
-#: The shipped network and its encoder.
+#: The shipped network.
 _SHIPPED = "weights/cost_maps_indoors"
 
 #: Distance that corresponds to a cost of 1, meters, of networks trained on costs with a fixed scale.
@@ -50,20 +49,9 @@ BINS = 8
 _REGIONS = ((1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
 
 
-class Inputs(NamedTuple):
-    """Inputs of a network besides obstacles and explored cells, which it always gets (section IV-C).
-
-    Attributes:
-      semantics: whether it gets the channels of semantic classes.
-      features: whether it gets the mid-level features.
-    """
-
-    semantics: bool = True
-    features: bool = True
-
-
-#: Ablations by name (Table II).
-ABLATIONS = {"both": Inputs(), "semantic": Inputs(features=False), "midlevel": Inputs(semantics=False)}
+#: Inputs of a network besides obstacles and explored cells, which it always gets: the channels of semantic classes, the
+#: mid-level features, or both (section IV-C, Table II).
+Inputs = Literal["both", "semantic", "midlevel"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +64,7 @@ class CostMapArchitecture:
       embedding: length of the embedding of a target.
       features: length of the vector of mid-level features.
       feature_width: channels of the mid-level features at the bottleneck.
-      inputs: inputs of the network.
+      inputs: one of `Inputs`.
 
     Raises:
       InputError: a number is out of range.
@@ -87,7 +75,7 @@ class CostMapArchitecture:
     embedding: int = 64
     features: int = 64
     feature_width: int = 64
-    inputs: Inputs = ABLATIONS["both"]
+    inputs: Inputs = "both"
 
     def __post_init__(self) -> None:
         if len(self.widths) < 2 or min(self.widths) < 1:
@@ -95,6 +83,8 @@ class CostMapArchitecture:
         for name in ("patch", "embedding", "features", "feature_width"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name.replace('_', ' ')} {getattr(self, name)}: give at least 1")
+        if self.inputs not in get_args(Inputs):
+            raise InputError(f"inputs {self.inputs!r}: use one of: {', '.join(get_args(Inputs))}")
 
 
 @struct.dataclass
@@ -114,15 +104,10 @@ class Prediction:
         """Probability that a cell is not free floor."""
         return jax.nn.sigmoid(self.occupancy_logits)
 
-
-def fused_cost(occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"]) -> Float[Array, "*b h w"]:
-    """The final cost map: the navigation cost, infinite in cells that are more likely occupied than free.
-
-    Args:
-      occupancy: probability that a cell is not free floor; the paper's threshold theta_occ is 0.5 here.
-      cost: navigation cost.
-    """
-    return jnp.where(occupancy > 0.5, jnp.inf, cost)
+    @property
+    def fused_cost(self) -> Float[Array, "*b h w"]:
+        """The final cost map: infinite in cells that are more likely occupied than free (theta_occ is 0.5)."""
+        return jnp.where(self.occupancy > 0.5, jnp.inf, self.cost)
 
 
 def heading_bin(heading: Float[Array, "*b"]) -> Int[Array, "*b"]:
@@ -201,7 +186,7 @@ class CostMapNetwork(nnx.Module):
           features: mid-level features of the camera image; ignored by a network without this input.
         """
         inputs = self.architecture.inputs
-        if not inputs.semantics:
+        if inputs == "midlevel":
             semantic = np.arange(INPUT_CHANNELS) % MAP_CHANNELS < SEMANTIC_CLASSES
             maps = maps * jnp.asarray(~semantic, maps.dtype)[:, None, None]
         at = self.first(self.embed(patches(jnp.moveaxis(maps, 1, -1), self.architecture.patch)))
@@ -212,7 +197,8 @@ class CostMapNetwork(nnx.Module):
         batch, height, width, _ = at.shape
         goal = jnp.broadcast_to(self.target(target)[:, None, None], (batch, height, width, self.architecture.embedding))
         view = oriented_features(nnx.relu(self.view(features.astype(jnp.float32))), heading, height, width)
-        bottleneck = jnp.concatenate([nnx.relu(at), goal, view if inputs.features else jnp.zeros_like(view)], axis=-1)
+        view = jnp.zeros_like(view) if inputs == "semantic" else view
+        bottleneck = jnp.concatenate([nnx.relu(at), goal, view], axis=-1)
         local = jnp.einsum("bchw,c->bhw", maps[:, :MAP_CHANNELS], self.cell[...])
         return Prediction(
             occupancy_logits=self.occupancy(bottleneck, skipped) + local,
@@ -254,16 +240,15 @@ class CostMapEstimator:
         """
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading))
         prediction = apply(self.architecture, self.weights, *one, self.encoder.encode(image[None]))
-        cost = fused_cost(prediction.occupancy[0], prediction.cost[0])
+        cost = prediction.fused_cost[0]
         return jnp.where(jnp.isinf(cost), cost, COST_UNIT * (cost - jnp.min(cost)))
 
 
-def save_costs(folder: Path, weights: Any, architecture: CostMapArchitecture, card: dict[str, Any]) -> None:
-    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files."""
-    facts = {"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **card}
-    write_network(folder / NETWORK_FILE, weights, architecture, facts)
-    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
-    write_json(folder / "network.json", {**card, "sha256": digests})
+#: Networks as they are saved.
+COST_MAPS = Kind(
+    "cost_maps", CostMapArchitecture, lambda architecture: CostMapNetwork, OBJECT_CLASSES, "dc2g objectnav train",
+    np.float16,
+)  # fmt: skip
 
 
 def load_costs(place: str | Path | None = None) -> CostMapEstimator:
@@ -277,27 +262,16 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
       InputError: a file is missing or invalid, or the two do not match.
     """
     folder = resource(_SHIPPED) if place is None else local_folder(place)
-    for name in (NETWORK_FILE, ENCODER_FILE):
-        if not (folder / name).is_file():
-            raise InputError(f"{folder}: has no {name}; give a folder that `dc2g objectnav train` has written")
-    path, encoder = folder / NETWORK_FILE, load_encoder(folder / ENCODER_FILE)
-    weights, architecture, card = read_network(path, CostMapNetwork, _read_architecture)
-    if card.get("classes") != list(OBJECT_CLASSES):
-        raise InputError(f"{path}: the network was trained on another list of classes; train it anew")
+    _, weights, architecture, card = read_network(folder, [COST_MAPS])
+    encoder = load_encoder(folder / ENCODER_FOLDER)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
         raise InputError(
-            f"{path}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
+            f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
             f"{IndoorMapSettings.cell_size:g} m; train one anew"
         )
     if (size := encoder.architecture.features) != architecture.features:
         raise InputError(
-            f"{folder}: {ENCODER_FILE} makes {size} features, {NETWORK_FILE} takes {architecture.features}; take both "
-            "from one folder"
+            f"{folder}: the encoder makes {size} features, the network takes {architecture.features}; take both from "
+            "one folder"
         )
     return CostMapEstimator(weights=weights, encoder=encoder, architecture=architecture)
-
-
-def _read_architecture(facts: dict[str, Any]) -> CostMapArchitecture:
-    """The architecture from JSON, which has lists instead of tuples."""
-    inputs = Inputs(*(bool(given) for given in facts["inputs"]))
-    return CostMapArchitecture(**{**facts, "widths": tuple(facts["widths"]), "inputs": inputs})

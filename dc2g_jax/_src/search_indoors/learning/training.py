@@ -40,7 +40,7 @@ from dc2g_jax._src.search_indoors.learning.midlevel import (
     SmallEncoder,
     TrainedEncoder,
 )
-from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, Prediction, fused_cost
+from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, Prediction
 from dc2g_jax._src.search_indoors.maps.camera import CameraView
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
@@ -176,7 +176,7 @@ def mean_loss(
 def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str, Array]:
     """Losses, confusion matrix and action accuracies on a batch."""
     loss, (losses, prediction) = mean_loss(config, weights, samples)
-    costs = fused_cost(prediction.occupancy, prediction.cost)
+    costs = prediction.fused_cost
 
     def accuracy(actions: tuple[tuple[int, int], ...]) -> Array:
         return jnp.mean(jax.vmap(functools.partial(action_accuracy, actions=actions))(costs, samples.cost))
@@ -274,7 +274,7 @@ class EncoderTraining(Supervised):
 
 
 def encoder_task(
-    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], None]
+    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], object]
 ) -> Task[TrainingState]:
     """The task of training the default encoder. The result is reproducible by seed to the bit.
 
@@ -295,4 +295,4 @@ def encoder_task(
     mesh = mesh_for_batch(training.batch_size)
     views, place = replicate(views, mesh), functools.partial(placed, mesh=mesh)
     step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
-    return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")
+    return Task(training.steps, step, validate, place=place, name="encoder")

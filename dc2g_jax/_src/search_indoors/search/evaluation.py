@@ -208,7 +208,7 @@ AGENT_TITLES = {
     "promising": "predicted, at frontiers",
 }
 
-#: Titles of the inputs of a network, see `learning.networks.ABLATIONS`.
+#: Titles of the inputs of a network, see `learning.networks.Inputs`.
 ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
 
 #: Metrics of the prediction in Table II, in percent.

@@ -9,7 +9,7 @@ import numpy as np
 from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.estimation.weights import read_safetensors, read_weights, shapes_of_weights, with_weights
+from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, with_weights
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
@@ -20,7 +20,7 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, DRIVEWAY, HOUSE, PATH
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import Assessment
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues, at_cells
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues, at_cells
 
 #: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
 #: the middle one of the next.
@@ -115,7 +115,7 @@ def read_policy(path: str | Path = _SHIPPED) -> dict[str, Any]:
     Raises:
       InputError: the file cannot be read or holds no such network.
     """
-    return read_weights(path, shapes_of_weights(RecurrentNetwork, RecurrentNetwork.UNITS), read_safetensors(path)[0])
+    return read_weights(path, shapes_of_weights(RecurrentNetwork, RecurrentNetwork.UNITS))
 
 
 def _turned(pose: Pose) -> tuple[Array, Array, Array, Array]:

@@ -5,7 +5,7 @@ from flax import struct
 
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.planning.frontiers import unseen
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues
 
 
 @struct.dataclass

@@ -6,7 +6,7 @@ from jaxtyping import Array, UInt32
 
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues
 
 
 def _mixed(number: UInt32[Array, "..."]) -> UInt32[Array, "..."]:

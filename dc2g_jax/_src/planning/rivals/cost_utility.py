@@ -3,7 +3,7 @@
 from flax import struct
 
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, unknown_share
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, unknown_share
 
 
 @struct.dataclass

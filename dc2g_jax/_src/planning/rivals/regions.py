@@ -9,7 +9,7 @@ from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.rivals.choosing import Moment, PoseValues, at_cells
+from dc2g_jax._src.planning.rivals.choosing import Moment, PoseValues, at_cells
 
 #: Pieces of the frontier that are looked at, at most. Plans are made over all orders of them.
 MOST_REGIONS = 5

@@ -11,8 +11,8 @@ from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.planning.frontiers import unseen
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
-from dc2g_jax._src.rivals.regions import find_regions
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
+from dc2g_jax._src.planning.rivals.regions import find_regions
 
 
 def sampled_cells(weights: Float[Array, "cell *batch"], count: int) -> Int[Array, "sample *batch"]:

@@ -30,8 +30,8 @@ from dc2g_jax._src.planning.planners import (
     explore_or_finish,
     reachable_cells,
 )
+from dc2g_jax._src.planning.rivals.choosing import exploring_poses
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.rivals.choosing import exploring_poses
 
 
 class Walk(NamedTuple):

@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float
 
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
-from dc2g_jax._src.rivals.regions import find_regions
+from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
+from dc2g_jax._src.planning.rivals.regions import find_regions
 
 
 def expected_costs(
