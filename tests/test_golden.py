@@ -54,7 +54,7 @@ def test_every_recorded_episode_action_for_action(golden_runner, recorded):
     assert checked == len(rows)
 
 
-@pytest.mark.parametrize(("sensing_range", "moments"), [(5, 31), (8, 49)])
+@pytest.mark.parametrize(("sensing_range", "moments"), [(5, 31), pytest.param(8, 49, marks=pytest.mark.slow)])
 def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_range, moments):
     rules = SETTINGS["reference"].rules(sensing_range)
     planner = Frontier(rules)

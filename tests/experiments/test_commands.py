@@ -131,17 +131,14 @@ def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
     assert again == rows
 
 
-def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_path):
+def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_path, capsys):
     starts, houses = tmp_path / "starts.csv", load_dataset(few_houses)
     start = sample_starts([houses.split("val")[0]], 1, seed=0)[0]
     starts.write_text(f"house,x,y,heading\n{start.house},{start.x},{start.y},{start.heading}\n")
-    result = run(
-        "run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "out", "--planner", "dc2g",
-        "--network", "dc2g_jax._src.estimation.estimators:ExactCostToGo",
-        "--settings", "tests.planning.test_planners:NARROW",
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert "settings tests.planning.test_planners:NARROW" in result.stdout
+    network, settings = "dc2g_jax._src.estimation.estimators:ExactCostToGo", "tests.planning.test_planners:NARROW"
+    options = {"dataset": str(few_houses), "network": network, "settings": settings, "out": tmp_path / "out"}
+    run_episodes.main(run_episodes.Options(starts=starts, planner=("dc2g",), **options))
+    assert f"settings {settings}" in capsys.readouterr().out
     with (tmp_path / "out" / "episodes.csv").open() as file:
         (row,) = csv.DictReader(file)
     (alone,) = dc2g.evaluate("dc2g", houses, starts=[start], sensing_range=3, network=ExactCostToGo())

@@ -149,6 +149,7 @@ def test_episodes_too_long_for_the_memory_are_not_replayed(yard, tmp_path, capsy
     assert written == {"episodes.csv", "run.json", *figure("trajectories")}
 
 
+@pytest.mark.slow
 def test_figure_8_is_of_the_start_of_median_length(streets, tmp_path, capsys):
     out = tmp_path / "out"
     options = reproduce_fig8.Options(dataset=str(streets), planner=("frontier",), animation=(), out=out)

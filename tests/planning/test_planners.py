@@ -347,7 +347,7 @@ class NoNumber(ExactCostToGo):
         return jnp.full_like(super().estimate(terrain, state), jnp.nan)
 
 
-@both_rules
+@complete_rules_first
 def test_a_robot_gives_up_where_estimates_are_no_numbers(rules):
     terrains, starts = random_worlds((11, 33), 600)
     worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))

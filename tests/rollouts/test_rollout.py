@@ -197,7 +197,7 @@ def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     [
         network_planner(0),
         pytest.param(Bounded(network_planner(0), RULES, factor=1.5, slack=0.5), marks=pytest.mark.slow),
-        Bounded(Frontier(RULES), RULES, factor=2.0, slack=1.0),
+        pytest.param(Bounded(Frontier(RULES), RULES, factor=2.0, slack=1.0), marks=pytest.mark.slow),
     ],
     ids=["DC2G", "bounded", "asks nothing"],
 )
