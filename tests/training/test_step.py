@@ -89,7 +89,8 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(cas
     assert np.isnan(losses[0])
 
 
-@pytest.mark.parametrize("platform", [pytest.param("cpu", marks=pytest.mark.slow), "gpu"])
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
 def test_runs_of_the_translator_together_are_like_alone(monkeypatch, platform):
     """As a CPU takes their steps, and as an accelerator does."""
     for module in (step, devices):
