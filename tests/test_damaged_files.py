@@ -1,6 +1,6 @@
 """Every reader, on files with damage: each is read, or refused in one short line, soon and in little memory.
 
-    FUZZ_INPUTS=100000 pytest -n 0 -rP tests/test_damaged_files.py
+    FUZZ_INPUTS=100000 pytest -n 0 -rP -m "slow or not slow" tests/test_damaged_files.py
 
 takes so many inputs for each file, different ones each time (`--hypothesis-seed` repeats them), instead of a few that
 are always the same; and says how many there were, how many were refused, and the longest time and most memory of one.
@@ -241,7 +241,11 @@ READERS = (
 
 @pytest.mark.parametrize(
     ("reader", "name"),
-    [pytest.param(reader, name, id=name) for reader in READERS for name in reader.files],
+    [
+        pytest.param(reader, name, id=name, marks=[pytest.mark.slow] if reader.slow else [])
+        for reader in READERS
+        for name in reader.files
+    ],
 )
 def test_damaged_files_are_read_or_refused_soon_and_in_one_line(reader, name, tmp_path):
     folder = tmp_path / "files"

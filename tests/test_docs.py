@@ -44,9 +44,9 @@ def examples(page: Path) -> list[tuple[str | None, str, str | None]]:
     return [(found[1], found[2], found[3]) for found in _EXAMPLE.finditer(page.read_text())]
 
 
-#: Pages with examples; those of the tutorials take long.
+#: Pages with examples; those of the README and the tutorials take long.
 WITH_EXAMPLES = [
-    pytest.param(page, id=page_id(page), marks=[pytest.mark.slow] if page.parent.name == "tutorials" else [])
+    pytest.param(page, id=page_id(page), marks=[] if page.parent.name == "how_it_works" else [pytest.mark.slow])
     for page in PAGES
     if examples(page)
 ]

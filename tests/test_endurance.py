@@ -1,6 +1,6 @@
 """Long runs in one process: no errors but those for bad input, and memory that stays flat.
 
-    ENDURANCE=1 pytest -n 0 -rP -m slow tests/test_endurance.py
+    ENDURANCE=1 pytest -n 0 -rP -m release tests/test_endurance.py
 
 makes 100,000 random calls of the online planner, and runs a million episodes of frontier exploration and 20,000 of
 `dc2g`; without `ENDURANCE`, a hundredth of them. It says how many there were, and how much memory they took.
@@ -23,7 +23,7 @@ from tests.support.houses import DATASET
 from tests.support.memory import memory
 from tests.support.networks import random_network
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.release
 
 #: Share of the calls and episodes.
 SHARE = float(os.environ.get("ENDURANCE", "0.01"))

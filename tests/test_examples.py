@@ -121,7 +121,7 @@ def test_ppo_refuses_bad_options_before_it_learns(ppo, tmp_path):
     refusal(lambda: ppo.main(ppo.Options(out=tmp_path)), tmp_path, "new folder")
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_ppo_learns(ppo, tmp_path):
     """In maps never seen it needs far fewer steps than untrained, after some minutes on two cores."""
     out = tmp_path / "run"

@@ -1,10 +1,10 @@
 """Every command that can be resumed ends as if nothing had happened, wherever in its writing there was a fault.
 
-    pytest -n 0 -rP -m "slow or not slow" tests/test_faults.py
+    pytest -n 0 -rP -m release tests/test_faults.py
 
-tries every point, and says how many there were; without `slow`, a few of two commands. To try one point alone:
+tries every point, and says how many there were; without `release`, a few of two commands. To try one point alone:
 
-    FAULT_AT=train:dies:17 pytest -n 0 -m slow tests/test_faults.py -k all_faults
+    FAULT_AT=train:dies:17 pytest -n 0 -m release tests/test_faults.py
 """
 
 import collections
@@ -128,12 +128,12 @@ def test_a_command_that_writes_in_place_is_found_out(tmp_path):
         assert ends[2] == {"table.csv": b"x\n1"}, fault
 
 
-@pytest.mark.parametrize(("name", "every"), [("run_episodes", 1), ("train", 30)])
+@pytest.mark.parametrize(("name", "every"), [("run_episodes", 1), pytest.param("train", 30, marks=pytest.mark.slow)])
 def test_a_few_faults(name, every, houses, tmp_path, monkeypatch):
     try_all(name, houses, tmp_path, monkeypatch, every)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("name", COMMANDS)
 def test_all_faults(name, houses, tmp_path, monkeypatch):
     try_all(name, houses, tmp_path, monkeypatch)

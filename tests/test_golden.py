@@ -54,7 +54,7 @@ def test_every_recorded_episode_action_for_action(golden_runner, recorded):
     assert checked == len(rows)
 
 
-@pytest.mark.parametrize(("sensing_range", "moments"), [(5, 31), (8, 49)])
+@pytest.mark.parametrize(("sensing_range", "moments"), [(5, 31), pytest.param(8, 49, marks=pytest.mark.slow)])
 def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_range, moments):
     rules = SETTINGS["reference"].rules(sensing_range)
     planner = Frontier(rules)
@@ -97,6 +97,7 @@ def published_steps(published_dataset) -> dict[str, np.ndarray]:
     return {name: steps[np.array(names) == name] for name in dict.fromkeys(names)}
 
 
+@pytest.mark.slow
 def test_published_step_counts_of_frontier_and_oracle(published_steps):
     episodes = published_episodes()
     frontier = np.array([episode.frontier for episode in episodes])
@@ -106,6 +107,7 @@ def test_published_step_counts_of_frontier_and_oracle(published_steps):
     assert np.sum(published_steps["oracle"] == oracle) >= 392
 
 
+@pytest.mark.slow
 def test_exact_cost_to_go_is_close_to_the_oracle(published_steps):
     extra = 100 * (published_steps["true_cost_to_go"] / published_steps["oracle"] - 1)
     assert np.min(extra) >= 0

@@ -15,7 +15,7 @@ PUBLISHED = {"rules": "reference", "sensing_radius": 5, "expanding_radius": 4, "
 pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="../shared is absent")
 
 
-@pytest.fixture(params=[37, pytest.param(1, marks=pytest.mark.slow)], ids=["sample", "all"])
+@pytest.fixture(params=[37, pytest.param(1, marks=pytest.mark.release)], ids=["sample", "all"])
 def stride(request: pytest.FixtureRequest) -> int:
     """One recorded episode in this many is run."""
     return request.param

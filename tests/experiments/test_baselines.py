@@ -20,7 +20,7 @@ from tests.support.maps import SHAPES, random_cells, random_pose, random_terrain
 RunEpisodes = Callable[[Problem, BaselineName], Outcome]
 
 
-@pytest.fixture(scope="module", params=["c", "numba"])
+@pytest.fixture(scope="module", params=["c", pytest.param("numba", marks=pytest.mark.slow)])
 def run_episodes(request: pytest.FixtureRequest) -> RunEpisodes:
     """One of the two programs."""
     if request.param == "numba":

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
+from dc2g_jax._src.cli.commands import run_episodes
 from dc2g_jax._src.cli.commands.check_map import Options, main
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
-from tests.support.commands import run
 from tests.support.maps import drawn
 from tests.support.occupancy import save
 
@@ -28,18 +28,14 @@ CAMPUS = drawn("""
 """)
 
 
-def test_check_map_reports_and_draws(tmp_path):
+def test_check_map_reports_and_draws(tmp_path, capsys):
     colors = np.array(CLASS_COLORS, np.uint8)
     colors[ROAD] = (255, 0, 200)
     road = "road,{},{},{}"
     (tmp_path / "palette.csv").write_text(PALETTE.replace(road.format(*CLASS_COLORS[ROAD]), road.format(255, 0, 200)))
     cv2.imwrite(str(tmp_path / "campus.png"), colors[CAMPUS][..., ::-1])
-    result = run(
-        "check_map", tmp_path / "campus.png", "--palette", tmp_path / "palette.csv", "--goals", 2, 5,
-        "--out", tmp_path / "out",
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    lines = result.stdout.splitlines()
+    main(Options(tmp_path / "campus.png", tmp_path / "palette.csv", goals=((2, 5),), out=tmp_path / "out"))
+    lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "campus.png: 17 x 6 cells"
     assert "        22 road (traversable)" in lines
     assert "         2 tree" in lines
@@ -91,12 +87,9 @@ def test_episodes_are_run_on_a_folder_of_maps(tmp_path):
     save(maps, np.full((6, 17), 254, np.uint8))
     (maps / "goals.csv").write_text("map,x,y,unit\nlab,16,0,cells\n")
     (tmp_path / "starts.csv").write_text("house,x,y,heading\ncampus,0,3,0\nlab,0,5,3\n")
-    result = run(
-        "run_episodes", "--starts", tmp_path / "starts.csv", "--planner", "frontier", "--dataset", maps,
-        "--out", tmp_path / "out",
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    with (tmp_path / "out" / "episodes.csv").open() as file:
+    starts, out = tmp_path / "starts.csv", tmp_path / "out"
+    run_episodes.main(run_episodes.Options(starts=starts, planner=("frontier",), dataset=str(maps), out=out))
+    with (out / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
     # Five rows up, a turn, and sixteen columns to the right.
     assert [(row["house"], row["success"], row["oracle_steps"]) for row in rows] == [

@@ -69,6 +69,7 @@ def figure(few_houses, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_reproduce_fig7_on_a_folder_of_houses(few_houses, figure):
     out = figure
     facts = json.loads((out / "results.json").read_text())
@@ -107,6 +108,7 @@ def test_reproduce_fig7_records_episodes(few_houses, tmp_path):
         assert len(list((tmp_path / "out" / "recordings").glob(f"*.{ending}"))) == 2
 
 
+@pytest.mark.slow
 def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
     starts = tmp_path / "starts.csv"
     with (figure / "episodes.csv").open() as file:
@@ -129,23 +131,21 @@ def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
     assert again == rows
 
 
-def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_path):
+def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_path, capsys):
     starts, houses = tmp_path / "starts.csv", load_dataset(few_houses)
     start = sample_starts([houses.split("val")[0]], 1, seed=0)[0]
     starts.write_text(f"house,x,y,heading\n{start.house},{start.x},{start.y},{start.heading}\n")
-    result = run(
-        "run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "out", "--planner", "dc2g",
-        "--network", "dc2g_jax._src.estimation.estimators:ExactCostToGo",
-        "--settings", "tests.planning.test_planners:NARROW",
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert "settings tests.planning.test_planners:NARROW" in result.stdout
+    network, settings = "dc2g_jax._src.estimation.estimators:ExactCostToGo", "tests.planning.test_planners:NARROW"
+    options = {"dataset": str(few_houses), "network": network, "settings": settings, "out": tmp_path / "out"}
+    run_episodes.main(run_episodes.Options(starts=starts, planner=("dc2g",), **options))
+    assert f"settings {settings}" in capsys.readouterr().out
     with (tmp_path / "out" / "episodes.csv").open() as file:
         (row,) = csv.DictReader(file)
     (alone,) = dc2g.evaluate("dc2g", houses, starts=[start], sensing_range=3, network=ExactCostToGo())
     assert (row["range"], row["actions"]) == ("3", alone.actions)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     starts, out = tmp_path / "starts.csv", tmp_path / "out"
     house = load_dataset(few_houses).split("test")[0]
@@ -270,6 +270,7 @@ command_line(Options, main)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
+@pytest.mark.slow
 def test_a_full_disk_and_a_closed_pipe_are_one_line_that_says_how_to_go_on(tmp_path):
     command = [sys.executable, "-c", WRITES, "--out", str(tmp_path / "out")]
     full = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -446,4 +447,4 @@ def test_help_names_every_option(command, monkeypatch, capsys):
         assert re.search(rf"^\s+{option.name}: \S", words, re.MULTILINE), option.name
     shown = capsys.readouterr().out
     assert f"python -m experiments.{command} " in shown
-    assert ("--out" in shown) == (command != "demo")
+    assert ("--out" in shown) == (command not in ("demo", "results"))

@@ -22,8 +22,6 @@ from dc2g_jax._src.readers.starts import sample_starts
 from tests.support import maps
 from tests.support.places import ROOT
 
-pytestmark = pytest.mark.slow
-
 #: Runs of the sweep, and how often a process is killed.
 RUNS, KILLS = 200, 5
 
@@ -119,6 +117,7 @@ def ranking(table: str) -> list[str]:
     return [row["run"] for row in csv.DictReader(table.splitlines())]
 
 
+@pytest.mark.release
 def test_a_sweep(houses, tmp_path):
     def command(out: str) -> list[object]:
         return [
@@ -143,6 +142,7 @@ def test_a_sweep(houses, tmp_path):
     assert ranking(whole_table) == ranking(alone_table)
 
 
+@pytest.mark.slow
 def test_episodes(houses, tmp_path):
     starts = tmp_path / "starts.csv"
     lines = [",".join(map(str, start[:4])) for start in sample_starts(open_dataset(houses).houses, 2000, seed=0)]

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import runpy
+import sys
 
 import cv2
 import numpy as np
@@ -18,7 +20,7 @@ from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from dc2g_jax._src.readers.houses import map_dataset
 from tests.support import toy
-from tests.support.commands import complaint, run
+from tests.support.commands import run
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 
@@ -91,13 +93,13 @@ def test_a_newcomer_sends_planners_over_a_map(compact_network, tmp_path):
 
 
 def test_what_cannot_be_run_is_refused_before_anything_is_written(yard, tmp_path):
-    line = complaint(run("explore_map", yard, "--start", 0, 0, 0, "--out", tmp_path / "out"))
-    assert "column 0, row 0 is 'house', which is not traversable; the nearest cell to start from" in line
     out = tmp_path / "out"
 
     def explore(**changes):
         explore_map.main(explore_map.Options(**{"map": yard, "out": out} | changes))
 
+    wall = "column 0, row 0 is 'house', which is not traversable; the nearest cell to start from"
+    refusal(lambda: explore(start=(0, 0, 0)), wall)
     refusal(lambda: explore(sensing_range=0), "--sensing-range 0", "1 to 64")
     np.save(yard, np.where(YARD == FRONT_DOOR, GRASS, YARD))
     refusal(explore, "yard.npy", "no front door")
@@ -147,6 +149,7 @@ def test_episodes_too_long_for_the_memory_are_not_replayed(yard, tmp_path, capsy
     assert written == {"episodes.csv", "run.json", *figure("trajectories")}
 
 
+@pytest.mark.slow
 def test_figure_8_is_of_the_start_of_median_length(streets, tmp_path, capsys):
     out = tmp_path / "out"
     options = reproduce_fig8.Options(dataset=str(streets), planner=("frontier",), animation=(), out=out)
@@ -203,8 +206,12 @@ def test_episodes_are_drawn_from_their_table(streets, tmp_path, capsys):
     refusal(lambda: draw(house=("far",)), "no episode in far")
 
 
-def test_help_names_the_options_of_a_map():
-    result = run("explore_map", "--help")
-    assert result.returncode == 0
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
+def test_help_names_the_options_of_a_map(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["-m", "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("experiments.explore_map", run_name="__main__", alter_sys=True)
+    assert not ended.value.code
+    shown = capsys.readouterr().out
     for option in ("--palette", "--goals", "--goal-unit", "--cells", "--start", "--planner", "--sensing-range"):
-        assert option in result.stdout
+        assert option in shown

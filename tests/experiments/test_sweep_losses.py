@@ -5,6 +5,7 @@ import dataclasses
 
 import jax
 import numpy as np
+import pytest
 
 from dc2g_jax._src.cli.commands.sweep_losses import Options, kind_of, network_folder, train_group, write_results
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
@@ -44,6 +45,7 @@ def test_runs_are_of_a_kind_where_only_the_seed_differs(tmp_path):
     assert kind_of(options, config) == "l1 + 0.5 log, rate 0.002, widths 4-8-8-8"
 
 
+@pytest.mark.slow
 def test_runs_that_wait_their_turn_end_like_runs_trained_together(tmp_path):
     data = training_set()
     pairs = DRAW_PAIRS(jax.random.key(0), data, batch_size=64)

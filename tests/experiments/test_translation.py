@@ -153,6 +153,7 @@ def test_networks_that_cannot_be_built_are_refused_in_one_line():
         OPTIONS.config("l3")
 
 
+@pytest.mark.slow
 def test_runs_trained_together_are_those_trained_alone(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: dict(METRICS))
     options, seeds = dataclasses.replace(OPTIONS, steps=2, validate_every=1), {"a": 3, "b": 4}

@@ -136,7 +136,7 @@ def run_tests(mutant: Mutant, order: Order) -> int:
     if not swap_functions(mutant):
         load_mutant(mutant)
     options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
-    return int(pytest.main([*options, *files], plugins=[order]))
+    return int(pytest.main([*options, "-m", "not release", *files], plugins=[order]))
 
 
 def outcome(mutant: Mutant, order: Order) -> tuple[str, list[tuple[str, float, bool]]]:

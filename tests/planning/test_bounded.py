@@ -89,6 +89,7 @@ def test_no_planner_breaks_a_bound_that_once_held():
     assert max(tight) > 0.9
 
 
+@pytest.mark.slow
 def test_the_bound_holds_where_walls_hide_what_is_behind_them():
     rules = complete_rules(SENSING, line_of_sight)
     terrains, starts = misleading_worlds(SHAPE, 500, EPISODES)
@@ -98,6 +99,7 @@ def test_the_bound_holds_where_walls_hide_what_is_behind_them():
     largest_ratio(done, terrains, starts, alone.steps, 1.0, 0.4 * SIDES)
 
 
+@pytest.mark.slow
 def test_the_bound_holds_under_the_reference_rules_where_frontier_exploration_ends():
     rules = reference_rules(SENSING, EXPANDING)
     terrains, starts = misleading_worlds(SHAPE, 600, EPISODES)
@@ -108,7 +110,7 @@ def test_the_bound_holds_under_the_reference_rules_where_frontier_exploration_en
     largest_ratio(done, terrains[ends], [starts[number] for number in ends], alone.steps[ends], 2.0, 0.3 * SIDES)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("number", range(len(BOUNDS)))
 def test_no_planner_breaks_the_bound_in_thousands_of_episodes(number):
     factor, slack = BOUNDS[number]
@@ -120,6 +122,7 @@ def test_no_planner_breaks_the_bound_in_thousands_of_episodes(number):
     print(f"factor {factor}, slack {slack} x 60: largest (T - slack) / F {ratio:.3f}")
 
 
+@pytest.mark.slow
 def test_with_infinite_slack_the_actions_are_the_wrapped_planners():
     terrains, starts = misleading_worlds(SHAPE, 700, EPISODES)
     alone = run(Hostile(COMPLETE), terrains, starts)
@@ -129,6 +132,7 @@ def test_with_infinite_slack_the_actions_are_the_wrapped_planners():
     np.testing.assert_array_equal(done.actions[allowed], alone.actions[allowed])
 
 
+@pytest.mark.slow
 def test_without_slack_the_actions_are_those_of_frontier_exploration():
     terrains, starts = misleading_worlds(SHAPE, 800, EPISODES)
     alone = run(Frontier(COMPLETE), terrains, starts)
@@ -136,6 +140,7 @@ def test_without_slack_the_actions_are_those_of_frontier_exploration():
     np.testing.assert_array_equal(done.actions, alone.actions)
 
 
+@pytest.mark.slow
 def test_dc2g_is_bounded_in_towns_alone():
     terrains, starts = misleading_worlds((14, 99), 900, EPISODES // 2)
     terrains = np.where(terrains == FLOOR, np.uint8(ROAD), terrains)

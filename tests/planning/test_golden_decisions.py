@@ -101,7 +101,14 @@ def write() -> None:
     FILE.write_text("[\n" + ",\n".join(lines) + "\n]\n")
 
 
-@pytest.mark.parametrize(("name", "settings"), PLANNERS)
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("frontier", "paper"),
+        ("dc2g", "paper"),
+        *(pytest.param(*planner, marks=pytest.mark.slow) for planner in PLANNERS[1:3]),
+    ],
+)
 def test_decisions_are_those_of_the_file(name, settings):
     expected = [one for one in json.loads(FILE.read_text()) if (one["planner"], one["rules"]) == (name, settings)]
     made = decisions(name, settings)

@@ -26,7 +26,9 @@ def near_decision(belief, before, planner):
     return near, certain[None] & (near.mode != GAVE_UP)
 
 
-@pytest.mark.parametrize("rules", [complete_rules(10, line_of_sight), reference_rules(14)])
+@pytest.mark.parametrize(
+    "rules", [pytest.param(complete_rules(10, line_of_sight), marks=pytest.mark.slow), reference_rules(14)]
+)
 def test_a_certain_decision_is_that_of_the_whole_map(rules):
     terrains, starts = random_worlds((60, 83), 700, doors=6, episodes=24)
     worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))

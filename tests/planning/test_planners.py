@@ -41,6 +41,8 @@ from tests.support.refusals import refusal
 RULES = {"reference": reference_rules(SENSING, EXPANDING), "complete": complete_rules(SENSING)}
 
 both_rules = pytest.mark.parametrize("rules", RULES)
+#: Both, the reference rules in a slow test.
+complete_rules_first = pytest.mark.parametrize("rules", ["complete", pytest.param("reference", marks=pytest.mark.slow)])
 
 
 def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
@@ -112,7 +114,7 @@ def test_the_papers_planner_is_algorithm_2_decided_anew_at_every_step(rules):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
 
 
-@both_rules
+@complete_rules_first
 @pytest.mark.parametrize("rim_width", [1, 2])
 def test_dc2g_prefers_what_opens_ground(rules, rim_width):
     terrains, starts = random_worlds((11, 33), 700)
@@ -123,7 +125,7 @@ def test_dc2g_prefers_what_opens_ground(rules, rim_width):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
-@both_rules
+@complete_rules_first
 def test_dc2g_loses_patience_with_where_it_has_been_for_long(rules):
     terrains, starts = random_worlds((11, 33), 500)
     done = run(DC2G(Scattered(), RULES[rules], patience=Patience(radius=3, decisions=4, price=0.5)), terrains, starts)
@@ -133,7 +135,7 @@ def test_dc2g_loses_patience_with_where_it_has_been_for_long(rules):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
-@both_rules
+@complete_rules_first
 def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
     terrains, starts = random_worlds((11, 33), 900)
     gain_weight = 0.5 * len(field_of_view(SENSING).offsets[0])
@@ -144,7 +146,7 @@ def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
-@both_rules
+@complete_rules_first
 def test_dc2g_keeps_to_its_choice_until_much_is_new(rules):
     terrains, starts = random_worlds((11, 33), 1300)
     in_view = len(field_of_view(SENSING).offsets[0])
@@ -170,7 +172,7 @@ class InTurn:
         return np.mean(self.answers[-2:], axis=0)
 
 
-@both_rules
+@complete_rules_first
 def test_dc2g_goes_by_the_mean_of_views_asked_about_in_turn(rules):
     terrains, starts = random_worlds((11, 33), 1100)
     done = run(DC2G(Scattered(), RULES[rules], views=((), (1,))), terrains, starts)
@@ -298,11 +300,11 @@ EXPLORERS = {
     [
         ("frontier", RULES["complete"], seen_without_occlusion),
         ("dc2g", RULES["complete"], seen_without_occlusion),
-        ("impatient", RULES["complete"], seen_without_occlusion),
+        pytest.param("impatient", RULES["complete"], seen_without_occlusion, marks=pytest.mark.slow),
         ("curious", RULES["complete"], seen_without_occlusion),
         ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
         ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
-        ("curious", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
+        pytest.param("curious", complete_rules(SENSING, line_of_sight), seen_past_obstacles, marks=pytest.mark.slow),
     ],
 )
 def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner, rules, visible):
@@ -345,7 +347,7 @@ class NoNumber(ExactCostToGo):
         return jnp.full_like(super().estimate(terrain, state), jnp.nan)
 
 
-@both_rules
+@complete_rules_first
 def test_a_robot_gives_up_where_estimates_are_no_numbers(rules):
     terrains, starts = random_worlds((11, 33), 600)
     worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))

@@ -1,5 +1,8 @@
 """The recurrent policy against plain NumPy: blocks, what it sees, its network and the subgoals it takes."""
 
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -46,13 +49,16 @@ def test_a_cell_is_in_the_smallest_block_that_holds_it():
         np.testing.assert_array_equal(block_of_cells(make_pose(*pose), *shape), plain_blocks(pose, shape))
 
 
+explored = jax.jit(functools.partial(exploring_poses, rules=RULES))
+
+
 def moment_of(seed, policy):
     """A random moment: belief and what is known of it in plain NumPy."""
     terrain, seen, pose = random_moment(seed, (40, 37), 0.7)
     belief = belief_of(terrain, seen, pose)
-    reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
+    reachable = jax.jit(reachable_cells)(belief, jnp.zeros_like(belief.seen))
     distance = oracle.distances_from(seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES), pose)
-    candidates = exploring_poses(belief, reachable, RULES)
+    candidates = explored(belief, reachable)
     visited = seen & (np.random.default_rng(seed).random(seen.shape) < 0.3)
     memory = policy.init(belief).estimator._replace(visited=bitboard.pack(jnp.asarray(visited)))
     moment = Moment(reachable, candidates, jnp.asarray(distance), candidates, memory)
@@ -107,20 +113,22 @@ def test_it_heads_for_the_block_that_the_network_prefers():
     """What it sees, remembers and prefers, and the candidates it then takes, at random moments."""
     weights = read_policy()
     policy, several = RecurrentPolicy(RULES), 0
+    see = jax.jit(functools.partial(surroundings, sensing=RULES.sensing))
+    prepare, rate = jax.jit(policy.prepare), jax.jit(policy.score)
     for seed in range(12):
         belief, moment, plain = moment_of(seed, policy)
-        seen = surroundings(belief, moment, RULES.sensing)
+        seen = see(belief, moment)
         expected = plain_surroundings(*plain)
         for found, wanted in zip(seen, expected, strict=True):
             np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
         present = expected[-1]
         hidden = np.random.default_rng(seed).normal(size=64).astype(np.float32)
         moment = moment._replace(estimator=moment.estimator._replace(hidden=jnp.asarray(hidden)))
-        memory = policy.prepare(belief, moment)
+        memory = prepare(belief, moment)
         logits, hidden = plain_logits(weights, hidden, *expected)
         np.testing.assert_allclose(memory.hidden, hidden, rtol=1e-3, atol=1e-4)
         np.testing.assert_allclose(memory.logits, logits, rtol=1e-3, atol=1e-3)
-        score = policy.score(belief, moment._replace(estimator=memory))
+        score = rate(belief, moment._replace(estimator=memory))
         blocks = plain_blocks(plain[2], plain[0].shape)
         np.testing.assert_allclose(score, np.broadcast_to(-logits[blocks], score.shape), rtol=1e-3, atol=1e-3)
         several += present.sum() > 2

@@ -1,8 +1,10 @@
 """Rivals against plain implementations: whole episodes action for action, and what they compute."""
 
+import functools
 import itertools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -191,7 +193,10 @@ def check_episodes(planner, episode, first_seed):
         assert (action_letters(done, index), MODE_NAMES[done.mode[index]]) == expected, index
 
 
-@pytest.mark.parametrize("name", CHOOSING)
+@pytest.mark.parametrize(
+    "name",
+    [name if name in ("random", "uncertainty") else pytest.param(name, marks=pytest.mark.slow) for name in CHOOSING],
+)
 def test_episodes_of_rivals_that_choose(name):
     planner, score = CHOOSING[name]
     enough = planner.replan_fraction * FIELD_OF_VIEW
@@ -273,17 +278,18 @@ def test_samples_are_in_proportion_to_their_weights():
 
 
 def test_regions_are_the_pieces_of_the_frontier_in_the_order_of_their_costs():
-    seen_some = 0
+    seen_some, reach, find = 0, jax.jit(reachable_cells), jax.jit(find_regions)
+    explored = jax.jit(functools.partial(exploring_poses, rules=RULES))
     for seed in range(20):
         terrain, seen, pose = random_moment(seed, (12, 40), 0.7)
         belief = belief_of(terrain, seen, pose)
-        reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
+        reachable = reach(belief, jnp.zeros_like(belief.seen))
         free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
         distance = oracle.distances_from(free, pose)
-        candidates = exploring_poses(belief, reachable, RULES)
+        candidates = explored(belief, reachable)
         moment = Moment(reachable, candidates, jnp.asarray(distance), candidates, ())
         cost = np.random.default_rng(seed).permutation(terrain.size).reshape(terrain.shape).astype(np.float32)
-        regions = find_regions(belief, moment, jnp.asarray(cost))
+        regions = find(belief, moment, jnp.asarray(cost))
         open_cells = np.asarray(bitboard.unpack(frontiers.frontier_cells(belief, reachable), belief.width))
         open_cells = open_cells & np.asarray(bitboard.unpack(jnp.bitwise_or.reduce(candidates, axis=0), belief.width))
         pieces, count = ndimage.label(open_cells | oracle._neighbor_of(open_cells))

@@ -18,6 +18,9 @@ from tests.support.refusals import refusal
 
 RULES = complete_rules(5)
 
+#: The planners whose check is no slow test.
+QUICK = ("oracle", "frontier", "true_cost_to_go", "right_hand")
+
 traces = itertools.count()
 
 
@@ -28,7 +31,9 @@ def name_of(tested: Any) -> str:
     return tested.__name__ if isinstance(tested, type) else type(tested).__name__
 
 
-@pytest.mark.parametrize("name", dc2g.PLANNERS)
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in dc2g.PLANNERS]
+)
 def test_shipped_planners_pass(name):
     check_planner(dc2g.make_planner(name))
 

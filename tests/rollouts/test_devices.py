@@ -102,6 +102,7 @@ def test_settle_waits_where_several_cores_are_devices():
     assert waited
 
 
+@pytest.mark.slow
 def test_the_table_is_the_same_on_any_number_of_devices_and_processes(tmp_path):
     starts = tmp_path / "starts.csv"
     images = [(f"n001m000h00{seed}", "val", draw_house(seed, "suburb_sidewalks")) for seed in range(2)]

@@ -196,8 +196,8 @@ def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     "planner",
     [
         network_planner(0),
-        Bounded(network_planner(0), RULES, factor=1.5, slack=0.5),
-        Bounded(Frontier(RULES), RULES, factor=2.0, slack=1.0),
+        pytest.param(Bounded(network_planner(0), RULES, factor=1.5, slack=0.5), marks=pytest.mark.slow),
+        pytest.param(Bounded(Frontier(RULES), RULES, factor=2.0, slack=1.0), marks=pytest.mark.slow),
     ],
     ids=["DC2G", "bounded", "asks nothing"],
 )
@@ -227,7 +227,7 @@ def test_a_planner_with_a_plan_of_its_own_follows_it(terrains):
     assert np.isin(done.actions, [LEFT_ACTION, NO_ACTION]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_rollouts_of_random_sizes_and_ranges_are_those_of_the_plain_program():
     """One robot a core, so that each rollout is one operation of the runtime."""
     for seed in range(300):

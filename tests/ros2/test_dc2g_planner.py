@@ -453,6 +453,7 @@ def test_a_parameter_that_the_planner_refuses_is_logged(start, monkeypatch):
         sys.modules["dc2g_planner.node"].main()
 
 
+@pytest.mark.slow
 def test_the_planner_in_a_process_of_its_own():
     options = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": (18, 18)}
     refusal = functools.partial(refusal_of, Refused)

@@ -50,6 +50,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     np.testing.assert_array_equal(robots.periods, made.steps)
 
 
+@pytest.mark.slow
 def test_drift_moves_where_a_robot_believes_to_be_and_not_where_it_is(found):
     house, (episode, *_), _, _ = found
     start, target = jnp.array([episode.x, episode.y, episode.yaw]), jnp.int32(0)

@@ -175,6 +175,7 @@ def test_houses_without_a_door_are_left_out_and_a_split_without_houses_is_refuse
             houses_with_door(dataset, split)
 
 
+@pytest.mark.slow
 def test_masks_of_robots():
     data = image_set(maps.drawn_dataset(), "train", size=32, masks="rollout", per_house=6)
     np.testing.assert_array_equal(data.pair_house, np.repeat([0, 1], 6))

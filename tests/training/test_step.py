@@ -16,7 +16,7 @@ from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import CASES, Case, train
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=["cost_to_go", "translator", pytest.param("cost_maps", marks=pytest.mark.slow)])
 def case(request) -> Case:
     return CASES[request.param]
 
@@ -89,6 +89,7 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(cas
     assert np.isnan(losses[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
 def test_runs_of_the_translator_together_are_like_alone(monkeypatch, platform):
     """As a CPU takes their steps, and as an accelerator does."""

@@ -126,7 +126,7 @@ def test_more_runs_than_fit_take_turns():
         in_turns(runs, 0)
 
 
-@pytest.fixture(params=["cpu", "gpu"])
+@pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def on(request, monkeypatch):
     """Steps as a CPU takes them, and as an accelerator does."""
     for module in (step, devices):
@@ -182,9 +182,12 @@ def test_a_loss_of_no_weight_makes_no_run_diverge(data):
     config = dataclasses.replace(BASE, losses=(("l1", 1.0), ("l2", 0.0)))
     weights = jax.tree.map(lambda leaf: 1e10 * leaf, first_state(config).weights)
     batch = DRAW(jax.random.key(0), data, batch_size=4)
-    both = jax.value_and_grad(functools.partial(mean_loss, config.recipe, jnp.array([1.0, 0.0])))(weights, batch)
-    alone = dataclasses.replace(config, losses=(("l1", 1.0),)).recipe
-    one = jax.value_and_grad(functools.partial(mean_loss, alone, jnp.array([1.0])))(weights, batch)
+
+    def loss_and_gradients(recipe, losses):
+        return jax.jit(jax.value_and_grad(functools.partial(mean_loss, recipe, jnp.array(losses))))(weights, batch)
+
+    both = loss_and_gradients(config.recipe, [1.0, 0.0])
+    one = loss_and_gradients(dataclasses.replace(config, losses=(("l1", 1.0),)).recipe, [1.0])
     assert not np.isfinite(mean_loss(config.recipe, jnp.array([0.0, 1.0]), weights, batch))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
 

@@ -60,12 +60,12 @@ def test_a_vehicle_keeps_its_limits_and_its_time(explored):
     assert [moment.seconds for moment in explored[:3]] == pytest.approx([0.0, 0.2, 0.4])
 
 
-@pytest.mark.slow
 def test_houses_that_cannot_be_stacked_are_refused():
     refusal(lambda: fleet.sites_of([STREET, STREET[:, 1:]]), "9 x 8", "10 x 8", "all of one size")
     refusal(lambda: fleet.sites_of([]), "no cells", "at least")
 
 
+@pytest.mark.slow
 def test_a_robot_that_knows_the_map_drives_the_shortest_path():
     # From column 9 along the road to column 2, then down and along the path: 14 m, with a start and three corners.
     done = drives(Oracle(), EAST, WEST, MIDDLE, EAST, knows_map=True, time_limit=60.0)
