@@ -119,8 +119,8 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
     from dc2g_jax._src.training.masks import collect_masks
-    from dc2g_jax._src.training.step import supervised_step
-    from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
+    from dc2g_jax._src.training.step import stacked, supervised_step
+    from dc2g_jax._src.training.sweeps import stacked_hyperparameters
     from experiments.benchmarks import workload
     from tests.support import drives, trainings
     from tests.support.houses import DATASET, STREET
@@ -163,7 +163,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         config = trainings.COST_TO_GO
         numbers = stacked_hyperparameters([config, config])
         data = cls(trainings.training_set())
-        states = init_states(config.recipe, numbers)
+        states = stacked([cost_to_go.first_state(config)] * 2)
         training = cost_to_go.CostToGoTraining(config.recipe, draw_pairs)
         supervised_step(states, data, numbers, training=training, mesh=mesh_for_batch(config.batch_size, 2))
 
