@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from dc2g_jax._src.estimation.metrics import HouseMetrics
 from dc2g_jax._src.figures import image_figures
 from dc2g_jax._src.figures.image_figures import METRIC_LABELS, Example
-from dc2g_jax._src.training.image_evaluation import HouseMetrics
 
 
 def check(folder) -> None:

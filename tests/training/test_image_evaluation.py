@@ -10,7 +10,7 @@ from flax import struct
 
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, TranslatorCostToGo
 from dc2g_jax._src.estimation.images import in_eight_bits
-from dc2g_jax._src.estimation.metrics import compare_images
+from dc2g_jax._src.estimation.metrics import HouseMetrics, compare_images
 from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture, init_weights
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
@@ -18,7 +18,6 @@ from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.training.drawn_masks import drawn_masks
 from dc2g_jax._src.training.image_evaluation import (
-    HouseMetrics,
     as_floats,
     compare,
     full_map_metrics,

@@ -1,8 +1,11 @@
 """Metrics of predicted cost-to-go images (section IV-A3)."""
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax._src.estimation.images import brightness, looks_traversable
@@ -58,3 +61,48 @@ def compare_images(predicted: Float[Array, "h w 3"], true: Float[Array, "h w 3"]
         low=_counts(_low_cost(predicted), _low_cost(true)),
         traversable=_counts(looks_traversable(predicted), looks_traversable(true)),
     )
+
+
+class HouseMetrics(NamedTuple):
+    """Metrics of a network by house.
+
+    Attributes:
+      distance: distance of each house from the training houses.
+      metrics: metric -> value of each house.
+      fits: metric -> slope and intercept of the regression line, without metrics that have none.
+    """
+
+    distance: Sequence[float]
+    metrics: Mapping[str, Sequence[float]]
+    fits: Mapping[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, distance: Sequence[float], rows: Sequence[Mapping[str, float]]) -> "HouseMetrics":
+        """Metrics of each house, with a least-squares line for each metric.
+
+        There is no line if all houses have the same distance. Houses without a value are ignored.
+        """
+        metrics = {name: [row[name] for row in rows] for name in rows[0]}
+        fits = {}
+        for name, values in metrics.items():
+            known = np.isfinite(values)
+            apart = np.asarray(distance)[known]
+            if apart.size and np.ptp(apart) > 0:
+                slope, intercept = np.polyfit(apart, np.asarray(values)[known], 1)
+                fits[name] = (float(slope), float(intercept))
+        return cls(distance, metrics, fits)
+
+    def summary(self, name: str) -> dict[str, float]:
+        """Mean, lowest and highest value of a metric over the houses with a value; slope and intercept of its line.
+
+        NaN where there is none.
+        """
+        known = [value for value in self.metrics[name] if np.isfinite(value)] or [math.nan]
+        slope, intercept = self.fits.get(name, (math.nan, math.nan))
+        return {
+            "mean": float(np.mean(known)),
+            "lowest": min(known),
+            "highest": max(known),
+            "slope": slope,
+            "intercept": intercept,
+        }

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from dc2g_jax._src.estimation.metrics import HouseMetrics
 from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, plain_axes, save_figure
 from dc2g_jax._src.figures.training_figures import draw_band
-from dc2g_jax._src.training.image_evaluation import HouseMetrics
 
 #: Colors (of Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
 #: losses, in the order in which these are given.

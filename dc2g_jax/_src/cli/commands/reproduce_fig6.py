@@ -15,11 +15,12 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder, print_files
 from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.estimation.metrics import HouseMetrics
 from dc2g_jax._src.figures.image_figures import METRIC_LABELS, plot_by_similarity
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import write_table
 from dc2g_jax._src.readers.houses import House, group_of, open_dataset
-from dc2g_jax._src.training.image_evaluation import HouseMetrics, distances_from_training, full_map_metrics
+from dc2g_jax._src.training.image_evaluation import distances_from_training, full_map_metrics
 from dc2g_jax._src.training.image_pairs import GRID_CELLS, houses_with_door
 
 
