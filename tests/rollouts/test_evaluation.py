@@ -143,6 +143,16 @@ def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
     refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "larger step limit")
 
 
+def test_a_start_that_leads_nowhere_is_refused(dataset):
+    runner, terrain = Runner(dataset, SETTINGS["paper"]), dataset.house(STARTS[0].house).terrain
+    y, x = np.argwhere(terrain == HOUSE)[0].tolist()
+    refusal(
+        lambda: runner.run([STARTS[0]._replace(x=x, y=y, expanding_range=None)], ["frontier"]),
+        "is 'house', which",
+        "nearest cell",
+    )
+
+
 def test_the_step_limit_grows_with_the_map(dataset):
     assert Runner(dataset, SETTINGS["paper"]).step_limit == 500
     campus = House("campus", "test", np.full((60, 100), FRONT_DOOR, np.uint8))

@@ -11,13 +11,11 @@ from jaxtyping import UInt8
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import read_palette
-from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.poses import HEADINGS
-from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.maps import Goal, draw_map
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
-from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, start_ground, why_no_episode
+from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, start_ground, why_no_episode, why_no_start
 
 #: Start of an episode: column, row and heading.
 StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]
@@ -101,21 +99,6 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
             f"{where}: --start {x} {y} {heading}: there is no heading {heading}; give 0 (right), 1 (down), 2 (left) or "
             "3 (up)"
         )
-    if problem := _why_no_start(house.terrain, x, y):
+    if problem := why_no_start(house.terrain, x, y):
         raise InputError(f"{where}: --start {x} {y} {heading}: {problem}; {nearest_start(house.terrain, x, y)}")
     return Start(house.name, x, y, heading)
-
-
-def _why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | None:
-    """The reason why no episode can start in a cell, or `None`."""
-    height, width = terrain.shape
-    if not (0 <= x < width and 0 <= y < height):
-        return f"column {x}, row {y} is off the map of {width} x {height} cells"
-    if terrain[y, x] == FRONT_DOOR:
-        return f"column {x}, row {y} is a goal already"
-    if not TRAVERSABLE[terrain[y, x]]:
-        name = CLASS_NAMES[terrain[y, x]] if terrain[y, x] else "unknown"
-        return f"column {x}, row {y} is {name!r}, which is not traversable"
-    if not connected_to_goal(terrain)[y, x]:
-        return f"no goal can be reached from column {x}, row {y}"
-    return None

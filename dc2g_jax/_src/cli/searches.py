@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from dc2g_jax._src.cli.common import digests
+from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
-from dc2g_jax._src.cli.outputs import output_folder, print_files
+from dc2g_jax._src.cli.outputs import CommandOptions, output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
@@ -36,6 +36,17 @@ _CAVEAT = (
     "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
     "with each other, not with ours."
 )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CostMapOptions(CommandOptions):
+    """The network of the agents that use one.
+
+    Attributes:
+      network: folder that dc2g objectnav train wrote, or hf://owner/name; the shipped network by default.
+    """
+
+    network: NetworkOption = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

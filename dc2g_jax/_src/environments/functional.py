@@ -90,9 +90,9 @@ class State:
       episode_return: sum of the rewards since the episode began, float32.
     """
 
-    house: Int[Array, ""]
+    house: Int[Array, "*batch"]
     belief: Belief
-    episode_return: Float[Array, ""]
+    episode_return: Float[Array, "*batch"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,9 +148,9 @@ class FrontDoor:
         return self.start(house, Pose(x=x, y=y, heading=heading), params)
 
     def advance(
-        self, state: State, action: int | Int[Array, ""], params: Params
-    ) -> tuple[State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
-        """Take one action, without a reset at the end of an episode.
+        self, state: State, action: int | Int[Array, "*batch"], params: Params
+    ) -> tuple[State, Float[Array, "*batch"], Bool[Array, "*batch"], Bool[Array, "*batch"]]:
+        """Take one action of one robot or of a batch, without a reset at the end of an episode.
 
         Returns:
           State; reward; `terminated`, whether the robot stands on a front door; and `truncated`, whether it does not
@@ -164,7 +164,7 @@ class FrontDoor:
         # The robot stays in place if the cell ahead is not traversable.
         action = jnp.where(bitboard.contains(world.traversable, ahead.x, ahead.y), action, NO_ACTION)
         belief = gridworld.step(world, state.belief, action, self.sensing)
-        reward = jnp.full((), _STEP_REWARD, jnp.float32)
+        reward = jnp.full(action.shape, _STEP_REWARD, jnp.float32)
         terminated = gridworld.at_goal(world, belief.pose)
         truncated = ~terminated & (belief.steps >= params.step_limit)
         state = State(house=state.house, belief=belief, episode_return=state.episode_return + reward)
@@ -278,6 +278,6 @@ def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class s
     return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
 
 
-def _world(params: Params, house: Int[Array, ""]) -> World:
+def _world(params: Params, house: Int[Array, "*batch"]) -> World:
     """One house of the stack."""
     return jax.tree.map(lambda leaf: leaf.at[..., house].get(mode="promise_in_bounds"), params.worlds)

@@ -16,7 +16,7 @@ from dc2g_jax._src.files.tables import table_lines, whole_cell
 from dc2g_jax._src.grid.ground import connected_to_goal, why_no_path
 from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax._src.grid.terrain import FRONT_DOOR, ROAD
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
 from dc2g_jax._src.readers.houses import SPLIT_FILES, House, HouseDataset
 
 
@@ -93,6 +93,21 @@ def nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
         return "the map has no ground that leads to a goal"
     nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
     return f"the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"
+
+
+def why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | None:
+    """The reason why no episode can start in a cell, or `None`."""
+    height, width = terrain.shape
+    if not (0 <= x < width and 0 <= y < height):
+        return f"column {x}, row {y} is off the map of {width} x {height} cells"
+    if terrain[y, x] == FRONT_DOOR:
+        return f"column {x}, row {y} is a goal already"
+    if not TRAVERSABLE[terrain[y, x]]:
+        name = CLASS_NAMES[terrain[y, x]] if terrain[y, x] else "unknown"
+        return f"column {x}, row {y} is {name!r}, which is not traversable"
+    if not connected_to_goal(terrain)[y, x]:
+        return f"no goal can be reached from column {x}, row {y}"
+    return None
 
 
 def why_no_episode(house: House) -> str | None:

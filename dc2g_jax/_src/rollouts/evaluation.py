@@ -32,7 +32,7 @@ from dc2g_jax._src.readers.houses import (
     procedural_dataset,
     stack_worlds,
 )
-from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
+from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, usable_houses, why_no_start
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import write_rows
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -279,9 +279,13 @@ class Runner:
         """
         oracle = self.trajectories(Oracle(), rules, starts, "oracle")
         if not np.all(oracle.success):
+            start = starts[int(np.argmin(oracle.success))]
+            terrain = self._dataset.house(start.house).terrain
+            if problem := why_no_start(terrain, start.x, start.y):
+                raise InputError(f"{start}: {problem}; {nearest_start(terrain, start.x, start.y)}")
             raise InputError(
-                f"{starts[int(np.argmin(oracle.success))]}: even with the map known no goal is reached within "
-                f"{self.step_limit} actions; give a larger step limit, or start elsewhere"
+                f"{start}: even with the map known no goal is reached within {self.step_limit} actions; give a larger "
+                "step limit, or start elsewhere"
             )
         self._oracle_steps[rules, tuple(starts)] = oracle.steps
         return oracle
@@ -425,6 +429,8 @@ def evaluate(
     settings = named_settings(settings)
     settings.rules(sensing_range)
     estimator = open_estimator(network) if NETWORK_PLANNERS.keys() & set(sources) else None
+    if not isinstance(dataset, HouseDataset | str | os.PathLike | None):
+        raise InputError(f"dataset {short(type(dataset).__name__)}: give a `HouseDataset`, a folder of maps, or a name")
     if not isinstance(dataset, HouseDataset):
         only = {"split": split} if starts is None else {}
         dataset = procedural_dataset(**only) if dataset == PROCEDURAL else open_dataset(dataset)

@@ -34,7 +34,7 @@ def main(options: Options) -> None:
     from dc2g_jax._src.estimation.onnx_export import export_onnx  # needs the extra `onnx`
 
     export_onnx(load_network(options.network), options.out)
-    print(f"Written: {options.out}, {options.out.stat().st_size / 1e6:.1f} MB")
+    print(f"Written to {options.out}, {options.out.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

@@ -15,9 +15,9 @@ import numpy as np
 import tyro
 
 from dc2g_jax._src.cli.common import HouseOption, command_line
-from dc2g_jax._src.cli.options import NetworkOptions, require_positive
+from dc2g_jax._src.cli.options import require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.cli.searches import SearchOptions
+from dc2g_jax._src.cli.searches import CostMapOptions, SearchOptions
 from dc2g_jax._src.figures.search_figures import RecordedSearch, animate_search, plot_prediction, plot_search
 from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
@@ -35,10 +35,8 @@ _COLUMNS = 5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Options(SearchOptions, NetworkOptions):
+class Options(SearchOptions, CostMapOptions):
     """Search a house for an object and draw the search.
-
-    Networks come from `dc2g objectnav train`.
 
     Attributes:
       house: name of the house, such as `val-3`; the first one of the split by default.

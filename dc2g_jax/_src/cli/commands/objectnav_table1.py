@@ -8,8 +8,7 @@ import dataclasses
 from typing import Any
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.cli.options import NetworkOptions
-from dc2g_jax._src.cli.searches import ComparisonOptions, compare
+from dc2g_jax._src.cli.searches import ComparisonOptions, CostMapOptions, compare
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.search.agent import Agent
@@ -18,10 +17,8 @@ from dc2g_jax._src.search_indoors.search.guides import AgentName, agent_with, es
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(ComparisonOptions, NetworkOptions):
+class Options(ComparisonOptions, CostMapOptions):
     """Run the agents of Table I in unseen houses, and compare them with the paper's figures.
-
-    Networks come from `dc2g objectnav train`.
 
     Attributes:
       agents: agents to run: true_cost knows the path; random drives at random until it sees its target; frontier goes

@@ -62,7 +62,7 @@ def main(options: Options) -> None:
         summaries[planner] = summarize(*np.concatenate(columns).T)
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
     print(as_text(summaries))
-    print(f"Written: {out / 'episodes.csv'}")
+    print(f"Written to {out / 'episodes.csv'}")
 
 
 if __name__ == "__main__":

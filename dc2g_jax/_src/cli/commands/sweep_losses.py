@@ -261,7 +261,7 @@ def main(options: Options) -> None:
         steps = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
         warning = "   diverged: the loss of some steps was not finite" if row["diverged"] else ""
         print(f"{row['run']:60} error {row['error']:.2f} cells{steps}{warning}")
-    print(f"Written: {options.out / 'results.csv'}")
+    print(f"Written to {options.out / 'results.csv'}")
 
 
 if __name__ == "__main__":
