@@ -1,6 +1,7 @@
 """The commands that look at one start, and those that draw what has been run."""
 
 import csv
+import dataclasses
 import json
 import runpy
 import sys
@@ -120,6 +121,14 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
     explore_map.main(options)
     assert capsys.readouterr().out.splitlines()[3].endswith("stopped at the limit of 13 steps")
     assert not list((tmp_path / "out").glob("*.gif"))
+
+
+def test_walls_hide_what_is_behind_them_by_other_rules(yard, tmp_path, monkeypatch):
+    seen, options = [], explore_map.Options(yard, start=(1, 4, 3), planner=("frontier",), animation=(), no_record=True)
+    monkeypatch.setattr(one_start, "plot_episode", lambda *args: seen.append(args[2]["frontier"].seen[0].sum()))
+    for settings in ("paper", "occluded"):
+        explore_map.main(dataclasses.replace(options, settings=settings, out=tmp_path / settings))
+    assert seen[1] < seen[0]
 
 
 @pytest.mark.parametrize(

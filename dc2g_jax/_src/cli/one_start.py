@@ -8,7 +8,7 @@ from typing import Literal
 
 from tqdm import tqdm
 
-from dc2g_jax._src.cli.common import PlannersOption, check_planners, network_for
+from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions
@@ -20,7 +20,7 @@ from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectorie
 from dc2g_jax._src.figures.replay import replay_result
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
-from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
@@ -41,6 +41,7 @@ class OneStartOptions(NetworkOptions, OutOptions):
       seed: seed of the sampled start.
       planner: planners to run besides the oracle, in the order of the figures; package.module:Name for one of your
         own.
+      settings: rules, as in dc2g run; `occluded`: walls and other tall objects hide what is behind them.
       sensing_range: number of cells that a robot sees ahead.
       animation: formats of the animation.
       no_figures: draw no figures and no animation, which take most of the time on large maps.
@@ -50,6 +51,7 @@ class OneStartOptions(NetworkOptions, OutOptions):
     start: StartOption = None
     seed: int = 0
     planner: PlannersOption = ("dc2g", "frontier")
+    settings: SettingsOption = "paper"
     sensing_range: int = 8
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
     no_figures: bool = False
@@ -92,9 +94,9 @@ def run_one_start(
     """
     start = start._replace(sensing_range=options.sensing_range)
     check_planners(options.planner)
-    network = network_for(options.planner, options.network)
+    network, settings = network_for(options.planner, options.network), named_settings(options.settings)
     dataset = HouseDataset(house.name, "folder", (house,))
-    runner = Runner(dataset, SETTINGS["paper"], step_limit=step_limit, progress=EpisodeProgress())
+    runner = Runner(dataset, settings, step_limit=step_limit, progress=EpisodeProgress())
     out = output_folder(options, command)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -139,7 +141,7 @@ def _draw(
     chosen = _replayable({planner: results[planner] for planner in options.planner}, house.terrain.size)
     if not chosen:
         return
-    rules = SETTINGS["paper"].rules(options.sensing_range)
+    rules = named_settings(options.settings).rules(options.sensing_range)
     animations = options.animation if figures else ()
     total = len(chosen) + len(animations) + figures + record
     with tqdm(total=total, desc=f"{'drawing':>16}", unit="file", file=sys.stderr) as bar:
