@@ -197,7 +197,8 @@ def main(options: Options) -> None:
     if "paper" not in losses:
         raise InputError("--networks: give one that was trained with the paper's loss, to compare with")
     out = output_folder(options, "indoor_losses")
-    arrays = read_safetensors(options.networks[0] / "validation.safetensors", "train the network again")
+    path = options.networks[0] / "validation.safetensors"
+    arrays = read_safetensors(path, "train the network again", at_most=None)
     data = JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
     houses = range(len(data.cells))
     found: dict[str, list[list[dict[str, float]]]] = {}

@@ -124,7 +124,7 @@ class _Counter:
         name, params = equation.primitive.name, equation.params
         if name == "while":
             return self._loop(params, inputs)
-        if name == "scan":
+        if name == "scan" and _branches(params["jaxpr"].jaxpr):
             return self._scan(params, inputs)
         if name == "cond":
             index, *operands = inputs

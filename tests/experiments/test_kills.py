@@ -109,7 +109,7 @@ def disturbed(command: list[object], out: Path, progress: Callable[[], int], kil
 
 def weights_of(out: Path) -> dict[str, dict[str, np.ndarray]]:
     """The weights of every run of a sweep."""
-    return {path.parts[-3]: read_safetensors(path)[0] for path in out.glob("runs/*/network/weights.safetensors")}
+    return {path.parts[-3]: read_safetensors(path) for path in out.glob("runs/*/network/weights.safetensors")}
 
 
 def ranking(table: str) -> list[str]:

@@ -33,7 +33,6 @@ from dc2g_jax._src.cli.driving import DriveResult
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
 from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import PublishedEpisode, Start
 from dc2g_jax._src.rollouts import published
@@ -245,7 +244,6 @@ def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
 
 def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _training(patch, sweep_losses)
-    patch.setattr(sweep_losses, "jit", functools.cache(jit))
     patch.setattr(sweep_losses, "validation_pairs", lambda *args, **options: None)
     patch.setattr(sweeps, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
     patch.setattr(sweep_losses, "plot_sweep", fake_figure)

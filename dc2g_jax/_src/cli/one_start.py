@@ -20,7 +20,7 @@ from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectorie
 from dc2g_jax._src.figures.replay import replay_result
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
-from dc2g_jax._src.planning.rules import named_settings
+from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
@@ -94,16 +94,17 @@ def run_one_start(
     """
     start = start._replace(sensing_range=options.sensing_range)
     check_planners(options.planner)
-    network, settings = network_for(options.planner, options.network), named_settings(options.settings)
+    network = network_for(options.planner, options.network)
     dataset = HouseDataset(house.name, "folder", (house,))
-    runner = Runner(dataset, settings, step_limit=step_limit, progress=EpisodeProgress())
+    runner = Runner(dataset, named_settings(options.settings), step_limit=step_limit, progress=EpisodeProgress())
+    rules = runner.rules(start)
     out = output_folder(options, command)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     planners = list(dict.fromkeys(("oracle", *options.planner)))
     results = EpisodeTable(out / "episodes.csv").run(runner, [start], planners, network)
     _print_results(results, house, runner.step_limit)
-    _draw(out, name, options, house, {result.planner: result for result in results}, network)
+    _draw(out, name, options, house, {result.planner: result for result in results}, rules, network)
     print_files(out)
 
 
@@ -130,6 +131,7 @@ def _draw(
     options: OneStartOptions,
     house: House,
     results: Mapping[str, EpisodeResult],
+    rules: Rules,
     network: Estimator | None,
 ) -> None:
     """Write the figures, animations and recording of the episodes in `results`, given by planner."""
@@ -141,7 +143,6 @@ def _draw(
     chosen = _replayable({planner: results[planner] for planner in options.planner}, house.terrain.size)
     if not chosen:
         return
-    rules = named_settings(options.settings).rules(options.sensing_range)
     animations = options.animation if figures else ()
     total = len(chosen) + len(animations) + figures + record
     with tqdm(total=total, desc=f"{'drawing':>16}", unit="file", file=sys.stderr) as bar:

@@ -20,7 +20,7 @@ from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.files.reading import check_file
 
 #: Most bytes of a file of weights.
-_LARGEST = 2**36
+_LARGEST_NETWORK = 2**31
 
 _Network = TypeVar("_Network", bound=nnx.Module)
 
@@ -81,18 +81,22 @@ def write_safetensors(path: str | Path, tensors: Any) -> None:
 
 
 def read_safetensors(
-    path: str | Path, remedy: str = "give an undamaged file in the safetensors format"
+    path: str | Path,
+    remedy: str = "give an undamaged file in the safetensors format",
+    *,
+    at_most: int | None = _LARGEST_NETWORK,
 ) -> dict[str, np.ndarray]:
     """Read the arrays of a file.
 
     Args:
       path: the file.
       remedy: end of the message: what to do.
+      at_most: largest size in bytes, by default that of a network; `None` for any.
 
     Raises:
-      InputError: the file cannot be read, has another format, or has arrays of another SHA-256 than it says.
+      InputError: the file is larger, cannot be read, has another format, or has arrays of another SHA-256 than it says.
     """
-    check_file(Path(path), remedy, at_most=_LARGEST)
+    check_file(Path(path), remedy, at_most=at_most)
     try:
         with safe_open(path, framework="np") as file:
             names, digest = file.keys(), (file.metadata() or {}).get("sha256")

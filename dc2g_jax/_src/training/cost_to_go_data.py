@@ -275,7 +275,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
     """
     if path.exists():
         remedy = "delete it to collect its contents anew"
-        found = read_safetensors(path, remedy)
+        found = read_safetensors(path, remedy, at_most=None)
         if set(found) != set(names):
             raise InputError(f"{path}: has the arrays {short(sorted(found))}, not {', '.join(names)}; {remedy}")
         return found

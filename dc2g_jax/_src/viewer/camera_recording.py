@@ -87,24 +87,27 @@ def record_camera(
     _describe(stream, camera, settings)
     waiting = iter(frames)
     poses: list[CameraPose] = []
-    while mapped := list(itertools.islice(waiting, _CHUNK)):
-        steps = len(poses) + np.arange(len(mapped))
-        poses += [one.frame.pose for one in mapped]
-        pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
-        if pictures:
-            send(stream, _PICTURE, np.array(list(pictures)), rr.EncodedImage.columns(blob=list(pictures.values())))
-        depth = depth_steps(np.stack([one.frame.depth for one in mapped]).reshape(len(steps), -1))
-        send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.view(np.uint8)))
-        send_images(stream, _CLASSES, steps, np.stack([one.frame.classes for one in mapped]))
-        _send_points(stream, steps, [one.frame for one in mapped], camera, stride)
-        _send_voxels(stream, steps, [one.voxels for one in mapped], settings)
-        send_images(stream, "map", steps, np.stack([one.terrain for one in mapped]))
-        terrain = mapped[-1].terrain
+    try:
+        while mapped := list(itertools.islice(waiting, _CHUNK)):
+            steps = len(poses) + np.arange(len(mapped))
+            poses += [one.frame.pose for one in mapped]
+            pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
+            if pictures:
+                send(stream, _PICTURE, np.array(list(pictures)), rr.EncodedImage.columns(blob=list(pictures.values())))
+            depth = depth_steps(np.stack([one.frame.depth for one in mapped]).reshape(len(steps), -1))
+            send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.view(np.uint8)))
+            send_images(stream, _CLASSES, steps, np.stack([one.frame.classes for one in mapped]))
+            _send_points(stream, steps, [one.frame for one in mapped], camera, stride)
+            _send_voxels(stream, steps, [one.voxels for one in mapped], settings)
+            send_images(stream, "map", steps, np.stack([one.terrain for one in mapped]))
+            terrain = mapped[-1].terrain
+    finally:  # an interrupted recording keeps what it has
+        if poses:
+            _send_path(stream, poses, settings.cell_size)
+        stream.flush()
+        stream.disconnect()
     if not poses:
         raise InputError(f"{name}: something is wrong with all of its {len(path)} frames; see the lines above")
-    _send_path(stream, poses, settings.cell_size)
-    stream.flush()
-    stream.disconnect()
     return terrain, len(path) - len(poses)
 
 

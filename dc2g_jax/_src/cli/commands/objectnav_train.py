@@ -55,7 +55,7 @@ _VALIDATION_SEED = 1_000_003
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _CollectionOptions(CommandOptions):
-    """As `DataOptions`.
+    """Data of the training. Like `DataOptions` it is the last base, to stand before what is said of machines.
 
     Attributes:
       collection: samples to collect in the houses.

@@ -86,10 +86,9 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
 
 
 def reset(
-    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: object, agent: Agent, limit: int
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
 ) -> IndoorRobot:
     """The robot at its start (x and y, meters, and yaw, radians), with an empty map, for `limit` control periods."""
-    del site
     start, target = search
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
@@ -274,11 +273,19 @@ def search_all(
     own = starts, np.array([TARGETS.index(episode.target) for episode in episodes], np.int32)
     where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
     track, status, steps, collisions = run_all(
-        reset, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
+        at_start, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
         own, where, sites, agent,
         seed=seed, number=limit, limit=limit, first_steps=_FIRST_LEGS, on_progress=on_progress,
     )  # fmt: skip
     return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
+
+
+def at_start(
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: IndoorSite, agent: Agent, limit: int
+) -> IndoorRobot:
+    """See `reset`, which does not need the site."""
+    del site
+    return reset(key, search, agent, limit)
 
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
