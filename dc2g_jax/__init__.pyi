@@ -14,7 +14,6 @@ from ._src.planning.online import OnlinePlanner as OnlinePlanner
 from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner
 from ._src.planning.metric_map import MetricMap as MetricMap
-from ._src.search_indoors.search.online import OnlineSearcher as OnlineSearcher
 from ._src.environments.task import make_env as make_env
 from ._src.rollouts.devices import use_cores as use_cores
 from ._src.estimation.hub import load_network as load_network
@@ -48,15 +47,17 @@ from ._src.rollouts.rollout import rollout as rollout
 from ._src.errors import InputError as InputError
 
 # More, in modules.
+from . import commands as commands
 from . import datasets as datasets
 from . import environments as environments
 from . import estimation as estimation
+from . import files as files
 from . import grid as grid
 from . import gymnasium as gymnasium
 from . import inspection as inspection
 from . import planning as planning
 from . import rollouts as rollouts
-from . import search_indoors as search_indoors
+from . import runtime as runtime
 from . import training as training
 
 __version__: str

@@ -2,15 +2,37 @@
 
 from dc2g_jax._src.files.class_images import read_palette as read_palette
 from dc2g_jax._src.procedural import procedural_training_houses as procedural_training_houses
-from dc2g_jax._src.procedural.plain import plain_maps as plain_maps
+from dc2g_jax._src.procedural.drawing import (
+    PictureFrame as PictureFrame,
+    Placement as Placement,
+    Points as Points,
+    Polygons as Polygons,
+    Sketch as Sketch,
+    rectangle as rectangle,
+    resample as resample,
+    ribbon as ribbon,
+    stroke as stroke,
+    uniform as uniform,
+)
+from dc2g_jax._src.procedural.lots import door_outline as door_outline, tapered as tapered, walkway as walkway
+from dc2g_jax._src.procedural.plain import plain_maps as plain_maps, with_door as with_door
 from dc2g_jax._src.readers.houses import (
+    PROCEDURAL as PROCEDURAL,
     House as House,
     HouseDataset as HouseDataset,
     open_dataset as open_dataset,
     procedural_dataset as procedural_dataset,
     stack_worlds as stack_worlds,
+    tell_on_stderr as tell_on_stderr,
 )
-from dc2g_jax._src.readers.maps import map_from_classes as map_from_classes, read_map as read_map
+from dc2g_jax._src.readers.maps import (
+    CELLS_FILE as CELLS_FILE,
+    SPLITS as SPLITS,
+    draw_map as draw_map,
+    map_from_classes as map_from_classes,
+    read_map as read_map,
+    sampled as sampled,
+)
 from dc2g_jax._src.readers.starts import (
     PublishedEpisode as PublishedEpisode,
     Start as Start,

@@ -2,11 +2,21 @@
 
 from dc2g_jax._src.planning import frontiers as frontiers
 from dc2g_jax._src.planning.bounded import Bounded as Bounded
-from dc2g_jax._src.planning.decisions import Decision as Decision
+from dc2g_jax._src.planning.decisions import (
+    Decision as Decision,
+    RobotPose as RobotPose,
+    View as View,
+    decide as decide,
+)
 from dc2g_jax._src.planning.metric import MetricDecision as MetricDecision, MetricPlanner as MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap as MetricMap, MetricPose as MetricPose
-from dc2g_jax._src.planning.named import PLANNERS as PLANNERS, make_planner as make_planner
-from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner
+from dc2g_jax._src.planning.named import (
+    NETWORK_PLANNERS as NETWORK_PLANNERS,
+    PLANNERS as PLANNERS,
+    make_planner as make_planner,
+    planner_with as planner_with,
+)
+from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner, view_fields as view_fields
 from dc2g_jax._src.planning.planners import (
     DC2G as DC2G,
     EXPLORE as EXPLORE,
@@ -14,9 +24,11 @@ from dc2g_jax._src.planning.planners import (
     MODE_NAMES as MODE_NAMES,
     TO_GOAL as TO_GOAL,
     Frontier as Frontier,
+    MapRevisingPlanner as MapRevisingPlanner,
     Oracle as Oracle,
     Plan as Plan,
     Planner as Planner,
+    assess as assess,
     reachable_cells as reachable_cells,
 )
 from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner as ChoosingPlanner

@@ -11,3 +11,4 @@ from dc2g_jax._src.rollouts.evaluation import (
     evaluate as evaluate,
 )
 from dc2g_jax._src.rollouts.rollout import Episodes as Episodes, rollout as rollout
+from dc2g_jax._src.rollouts.statistics import Mean as Mean, house_bootstrap as house_bootstrap

@@ -1,11 +1,5 @@
-"""The commands of a checkout: `python -m experiments.NAME`, those of the package and those that measure it."""
+"""Experiments that repeat papers, compare planners and measure the package: `python -m experiments.NAME`."""
 
-import sys
+from dc2g_jax._src.cli import prepare
 
-from dc2g_jax._src.cli import commands
-
-# The package's commands have their files there; here they only have their names.
-__path__ += commands.__path__
-
-if sys.argv[0] == "-m":  # so it is while `python -m` imports the package of the module that it runs
-    commands.prepare()
+prepare()

@@ -18,7 +18,7 @@ from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.rollouts.statistics import Mean
-from dc2g_jax._src.search_indoors.search.evaluation import with_interval
+from dc2g_jax.indoor.search.evaluation import with_interval
 
 from .benchmarks.report import in_short
 

@@ -15,6 +15,8 @@ from jax._src import compiler  # no public option chooses the emitters of progra
 
 from tests.support.places import PUBLISHED, ROOT, SHARED
 
+pytest_plugins = ["tests.support.fixtures"]
+
 CACHE = ROOT / ".pytest_cache"
 
 # No test asks the network for the dataset: it is the copy beside the repository, or else the procedural houses.

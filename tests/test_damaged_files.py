@@ -31,21 +31,21 @@ from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.weights import fresh_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
-from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
-from dc2g_jax._src.osm.extract import read_extract
-from dc2g_jax._src.osm.neighborhood import Neighborhood
 from dc2g_jax._src.readers.houses import load_dataset, map_dataset
 from dc2g_jax._src.readers.maps import Goal, read_map
 from dc2g_jax._src.readers.starts import read_starts
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
-from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
-from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
-from dc2g_jax._src.search_indoors.learning.networks import COST_MAPS, CostMapArchitecture, CostMapNetwork, load_costs
 from dc2g_jax._src.training.cost_to_go_data import check_masks, kept_arrays
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.tracking import Curve
+from dc2g_jax.indoor.houses.procthor import read_procthor
+from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
+from dc2g_jax.indoor.learning.networks import COST_MAPS, CostMapArchitecture, CostMapNetwork, load_costs
+from dc2g_jax.osm.extract import read_extract
+from dc2g_jax.osm.neighborhood import Neighborhood
+from dc2g_jax.robot.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame

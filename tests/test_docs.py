@@ -129,7 +129,7 @@ def test_a_name_that_does_not_exist_is_noticed():
 def options_of(program: str) -> Any:
     """The options dataclass of a command: one of `dc2g`, `-m experiments.NAME` or `examples/NAME.py`."""
     if program in COMMANDS:
-        return importlib.import_module(f"experiments.{COMMANDS[program][0]}").Options
+        return importlib.import_module(COMMANDS[program][0]).Options
     if program.startswith("-m "):
         return importlib.import_module(program[3:]).Options
     spec = importlib.util.spec_from_file_location(Path(program).stem, ROOT / program)
@@ -199,12 +199,20 @@ def test_another_figure_is_put_right_and_a_missing_one_is_noticed():
 
 def test_a_run_says_where_its_figures_come_from(tmp_path):
     run = {"began": "2026-01-02T03:04:05+00:00", "commit": "c", "versions": {"jax": "0"}}
-    runs = [run | {"command": "dc2g fig7"}, run | {"command": "dc2g fig7 --out here --resume --dataset /a/b"}]
+    runs = [
+        run | {"command": "python -m experiments.reproduce_fig7"},
+        run | {"command": "python -m experiments.reproduce_fig7 --out here --resume --dataset /a/b"},
+    ]
     (tmp_path / "run.json").write_text(json.dumps({"runs": runs}))
     (tmp_path / "results.json").write_text(
         json.dumps({"seconds": 1.5, "paper": {"frontier": [1 / 3, None], "dc2g": {}}})
     )
-    facts = {"command": "dc2g fig7 --dataset FOLDER", "date": "2026-01-02", "commit": "c", "versions": {"jax": "0"}}
+    facts = {
+        "command": "python -m experiments.reproduce_fig7 --dataset FOLDER",
+        "date": "2026-01-02",
+        "commit": "c",
+        "versions": {"jax": "0"},
+    }
     assert run_in(tmp_path) == facts | {"paper": {"frontier": [0.333333, None]}}
     before = RESULTS.read_text()
     with pytest.raises(InputError, match="pages show 'published', which a run there lacks"):

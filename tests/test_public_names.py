@@ -45,8 +45,8 @@ sys.modules.update(dict.fromkeys({modules}))  # so that their import fails
 
 import numpy as np
 import dc2g_jax as dc2g
-import dc2g_jax._src.vehicles.fleet
-import dc2g_jax._src.search_indoors.search.online
+import dc2g_jax.robot.driving.fleet
+from dc2g_jax.indoor import OnlineSearcher
 from dc2g_jax._src.cli import commands
 
 env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")
@@ -57,7 +57,7 @@ try:
     dc2g.plot_results
 except dc2g.InputError as error:
     print(error)
-sys.argv[1:] = ["fig7", "--help"]
+sys.argv[1:] = ["train", "--help"]
 commands.main()
 """
 

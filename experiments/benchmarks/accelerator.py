@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
@@ -18,16 +17,17 @@ from dc2g_jax._src.readers.starts import published_episodes, sample_starts
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.rollout import rollout
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
-from dc2g_jax._src.search_indoors.learning.networks import load_costs
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
-from dc2g_jax._src.search_indoors.search.agent import Agent
-from dc2g_jax._src.search_indoors.search.guides import agent_with
-from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
-from dc2g_jax._src.training.image_pairs import draw_image_pairs, image_set
 from dc2g_jax._src.training.step import supervised_step
-from dc2g_jax._src.training.translator import TranslatorTraining, first_state, run_key
+from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
+from dc2g_jax.indoor.learning.networks import load_costs
+from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
+from dc2g_jax.indoor.search.agent import Agent
+from dc2g_jax.indoor.search.guides import agent_with
+from dc2g_jax.indoor.search.searches import TIME_LIMIT, sample_episodes, search_all
+from experiments.reproduce_fig5 import TranslationOptions
+from experiments.translator.pairs import draw_image_pairs, image_set
+from experiments.translator.training import TranslatorTraining, first_state, run_key
 
 from .bench import SENSING_RANGE, Bench, own
 from .planners import PLANNER_UNIT, with_episodes

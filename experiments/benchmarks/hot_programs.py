@@ -9,32 +9,33 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec as P
 
-from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions
-from dc2g_jax._src.cli.driving import DrivingOptions, equipment
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.mapping.scene import TILES, Scene
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.devices import AXIS, RUNS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
-from dc2g_jax._src.search_indoors.learning.networks import load_costs
-from dc2g_jax._src.search_indoors.search import searches
-from dc2g_jax._src.search_indoors.search.guides import agent_with
-from dc2g_jax._src.search_indoors.search.searches import IndoorSite, leg
-from dc2g_jax._src.training import cost_to_go, translator
+from dc2g_jax._src.training import cost_to_go
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
-from dc2g_jax._src.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import Supervised, draw_batches, learn
-from dc2g_jax._src.vehicles import drive, robot
-from dc2g_jax._src.vehicles.drive import Site
-from dc2g_jax._src.vehicles.robot import Step
+from dc2g_jax.indoor.learning.networks import load_costs
+from dc2g_jax.indoor.search import searches
+from dc2g_jax.indoor.search.guides import agent_with
+from dc2g_jax.indoor.search.searches import IndoorSite, leg
+from dc2g_jax.robot.driving import drive, robot
+from dc2g_jax.robot.driving.drive import Site
+from dc2g_jax.robot.driving.robot import Step
+from dc2g_jax.robot.mapping.scene import TILES, Scene
+from experiments.reproduce_fig5 import TranslationOptions
+from experiments.support.driving import DrivingOptions, equipment
+from experiments.translator import training as translator
+from experiments.translator.pairs import ImageSet, draw_image_pairs
 
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
 _CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64

@@ -21,7 +21,7 @@ from dc2g_jax._src.training.sweeps import stacked_hyperparameters
 from .bench import Bench, own
 from .rows import Row
 
-#: Optimizer steps of a run, for the runs an hour: those of `python -m experiments.sweep_losses`.
+#: Optimizer steps of a run, for the runs an hour: those of `dc2g sweep`.
 _STEPS_A_RUN = 2000
 
 

@@ -117,7 +117,7 @@ def test_a_folder_travels_with_its_card_and_nothing_else(hub, tmp_path):
 
 
 def test_an_indoor_network_travels_with_its_encoder(hub):
-    from dc2g_jax._src.search_indoors.learning.networks import load_costs
+    from dc2g_jax.indoor.learning.networks import load_costs
 
     dc2g.estimation.push(INDOORS, "hf://someone/indoors")
     costs, own = load_costs("hf://someone/indoors"), load_costs(INDOORS)

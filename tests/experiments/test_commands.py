@@ -17,18 +17,8 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.cli.commands import (
-    head_to_head,
-    noisy_mapping,
-    objectnav_train,
-    reproduce_fig5,
-    reproduce_fig7,
-    reproduce_fig8,
-    reproduce_fig9,
-    run_episodes,
-    sweep_losses,
-    train,
-)
+from dc2g_jax._src.cli import commands
+from dc2g_jax._src.cli.commands import run_episodes, sweep as sweep_losses, train
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
@@ -37,7 +27,16 @@ from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from dc2g_jax._src.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
 from dc2g_jax._src.readers.houses import load_dataset
 from dc2g_jax._src.readers.starts import sample_starts
-from experiments import latency
+from dc2g_jax.indoor import train_command as objectnav_train
+from experiments import (
+    head_to_head,
+    latency,
+    noisy_mapping,
+    reproduce_fig5,
+    reproduce_fig7,
+    reproduce_fig8,
+    reproduce_fig9,
+)
 from tests.support.commands import complaint, run
 from tests.support.houses import save_dataset
 from tests.support.places import COMMANDS, ROOT
@@ -117,7 +116,7 @@ def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
     lines = [",".join(row[column] for column in ("house", "x", "y", "heading")) for row in chosen]
     starts.write_text("\n".join(["house,x,y,heading", *lines]))
     result = run(
-        "run_episodes", "--starts", starts, "--planner", "oracle", "frontier", "--settings", "paper",
+        "dc2g run", "--starts", starts, "--planner", "oracle", "frontier", "--settings", "paper",
         "--dataset", few_houses, "--out", tmp_path / "second",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -151,14 +150,14 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     house = load_dataset(few_houses).split("test")[0]
     row, column = np.argwhere(house.terrain == ROAD)[0].tolist()
     starts.write_text(f"house,x,y,heading\n{house.name},{column},{row},0\n")
-    options = ["run_episodes", "--starts", starts, "--dataset", few_houses, "--out", out, "--planner"]
+    options = ["dc2g run", "--starts", starts, "--dataset", few_houses, "--out", out, "--planner"]
     options += ["frontier", "oracle", "true_cost_to_go"]
     # A shell that runs the tests in the background has its children ignore interrupts.
     heeding = (
         "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        f"runpy.run_module('experiments.{options[0]}', run_name='__main__', alter_sys=True)"
+        "runpy.run_module('dc2g_jax', run_name='__main__', alter_sys=True)"
     )
-    command = [sys.executable, "-c", heeding, *(str(option) for option in options[1:])]
+    command = [sys.executable, "-c", heeding, "run", *(str(option) for option in options[1:])]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 200
     while not (out / "episodes.csv").exists():
@@ -187,7 +186,7 @@ def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
     starts = tmp_path / "starts.csv"
     house = load_dataset(few_houses).split("test")[0].name
     starts.write_text(f"house,x,y,heading\n{house},500,3,0\n")
-    line = complaint(run("run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "a"))
+    line = complaint(run("dc2g run", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "a"))
     assert "line 2" in line
     assert "'500'" in line
     assert not (tmp_path / "a").exists()
@@ -248,6 +247,7 @@ def test_batches_beyond_all_memory_are_refused_before_anything_is_collected(comm
 WRITES = '''
 import dataclasses, pathlib, resource, sys
 import numpy as np
+from dc2g_jax._src.cli import commands
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import TrainingOptions
 from dc2g_jax._src.cli.outputs import output_folder
@@ -376,7 +376,7 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
 def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path):
     def options(out: Path) -> list[object]:
         return [
-            "sweep_losses", "--dataset", few_houses, "--out", out, "--extra-houses", 0, "--starts-per-house", 1,
+            "dc2g sweep", "--dataset", few_houses, "--out", out, "--extra-houses", 0, "--starts-per-house", 1,
             "--ranges", 6, "--steps", 300, "--batch-size", 4, "--widths", "4,4,4,4", "--losses", "l1", "l2",
             "--seeds", 0, "--validate-every", 100, "--no-episodes", "--minutes-per-checkpoint", 0.01,
         ]  # fmt: skip
@@ -435,16 +435,22 @@ def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_pat
 
 
 @pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
-@pytest.mark.parametrize("command", [path.stem for path in COMMANDS])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_names_every_option(command, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["-m", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_module(f"experiments.{command}", run_name="__main__", alter_sys=True)
+    module = COMMANDS[command]
+    if command.startswith("dc2g "):
+        monkeypatch.setattr(sys, "argv", [*command.split(), "--help"])
+        with pytest.raises(SystemExit) as ended:
+            commands.main()
+    else:
+        monkeypatch.setattr(sys, "argv", ["-m", "--help"])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_module(module, run_name="__main__", alter_sys=True)
     assert not ended.value.code
-    options = importlib.import_module(f"experiments.{command}").Options
+    options = importlib.import_module(module).Options
     words = "\n".join(each.__doc__ or "" for each in options.__mro__)
     for option in dataclasses.fields(options):
         assert re.search(rf"^\s+{option.name}: \S", words, re.MULTILINE), option.name
     shown = capsys.readouterr().out
-    assert f"python -m experiments.{command} " in shown
-    assert ("--out" in shown) == (command not in ("demo", "results"))
+    assert f"{command} " in shown
+    assert ("--out" in shown) == (command not in ("dc2g demo", "python -m experiments.results"))

@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.training.pairs import Pair
-from experiments.goal_location import ExpectedDistance, place_loss, straight_to, to_distance, to_place
+from experiments.studies.goal_location import ExpectedDistance, place_loss, straight_to, to_distance, to_place
 
 SHAPE = (7, 9)
 

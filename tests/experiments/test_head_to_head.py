@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from dc2g_jax._src.cli.commands import head_to_head
+from experiments import head_to_head
 from tests.support.places import PUBLISHED
 
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.search_indoors.learning.losses import named_loss
-from dc2g_jax._src.search_indoors.learning.networks import Prediction
-from experiments.indoor_losses import BLOCKED, Options, bends, hollows, main
+from dc2g_jax.indoor.learning.losses import named_loss
+from dc2g_jax.indoor.learning.networks import Prediction
+from experiments.studies.indoor_losses import BLOCKED, Options, bends, hollows, main
 from tests.support.refusals import refusal
 
 SHAPE = (8, 9)
@@ -36,12 +36,12 @@ def test_a_loss_is_the_papers_without_a_part(name, weights):
     expected = sum(
         weight * parts[part] for weight, part in zip(weights, ("occupancy", "cost", "direction"), strict=True)
     )
-    np.testing.assert_allclose(named_loss(f"experiments.indoor_losses:{name}")(*sample)[0], expected, rtol=1e-6)
+    np.testing.assert_allclose(named_loss(f"experiments.studies.indoor_losses:{name}")(*sample)[0], expected, rtol=1e-6)
 
 
 def test_one_map_is_judged_in_walls_too():
     prediction, occupied, cost = maps(1)
-    _, parts = named_loss("experiments.indoor_losses:one_map")(prediction, occupied, cost)
+    _, parts = named_loss("experiments.studies.indoor_losses:one_map")(prediction, occupied, cost)
     label = np.where(occupied, BLOCKED, np.asarray(cost))
     error = np.abs(np.asarray(prediction.cost + prediction.occupancy_logits) - label)
     np.testing.assert_allclose(parts["cost"], error[np.isfinite(label)].sum() / error.size, rtol=1e-6)
@@ -75,7 +75,7 @@ def test_networks_of_other_data_and_without_the_papers_loss_are_refused(tmp_path
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "validation.safetensors").write_bytes(name.encode())
-        (tmp_path / name / "network.json").write_text(json.dumps({"loss": "experiments.indoor_losses:one_map"}))
+        (tmp_path / name / "network.json").write_text(json.dumps({"loss": "experiments.studies.indoor_losses:one_map"}))
     both = tuple(tmp_path / name for name in ("a", "b"))
     refusal(lambda: main(Options(networks=both, out=tmp_path / "out")), "validation.safetensors", "same data")
     shutil.copyfile(both[0] / "validation.safetensors", both[1] / "validation.safetensors")

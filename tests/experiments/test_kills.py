@@ -121,7 +121,7 @@ def ranking(table: str) -> list[str]:
 def test_a_sweep(houses, tmp_path):
     def command(out: str) -> list[object]:
         return [
-            "sweep_losses", "--dataset", houses, "--out", tmp_path / out, "--extra-houses", 0, "--starts-per-house", 1,
+            "dc2g sweep", "--dataset", houses, "--out", tmp_path / out, "--extra-houses", 0, "--starts-per-house", 1,
             "--masks-per-episode", 2, "--ranges", 6, "--steps", 4, "--batch-size", 4, "--widths", "2,2,2,2",
             "--losses", "l1", "l2", "--seeds", *range(RUNS // 2), "--validate-every", 0, "--no-episodes",
             "--runs-at-once", 20,

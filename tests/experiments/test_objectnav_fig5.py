@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from dc2g_jax._src.cli.commands import objectnav_fig5
-from dc2g_jax._src.cli.commands.objectnav_fig5 import Options, main
-from dc2g_jax._src.search_indoors.houses import dataset as houses
+from dc2g_jax.indoor.houses import dataset as houses
+from experiments import objectnav_fig5
+from experiments.objectnav_fig5 import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

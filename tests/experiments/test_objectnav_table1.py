@@ -5,10 +5,10 @@ import json
 
 import pytest
 
-from dc2g_jax._src.cli import searches
-from dc2g_jax._src.cli.commands.objectnav_table1 import Options, main
 from dc2g_jax._src.rollouts.results import read_rows
-from dc2g_jax._src.search_indoors.search.evaluation import SearchResult
+from dc2g_jax.indoor.search.evaluation import SearchResult
+from experiments.objectnav_table1 import Options, main
+from experiments.support import searches
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

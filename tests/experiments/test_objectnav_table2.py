@@ -6,20 +6,20 @@ import json
 import jax
 import pytest
 
-from dc2g_jax._src.cli import searches
-from dc2g_jax._src.cli.commands import objectnav_table2
-from dc2g_jax._src.cli.commands.objectnav_table2 import Options, main
 from dc2g_jax._src.estimation.checkpoints import write_network
 from dc2g_jax._src.estimation.weights import fresh_weights
-from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
-from dc2g_jax._src.search_indoors.learning.networks import (
+from dc2g_jax.indoor.learning.losses import OF_CLASSES
+from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
+from dc2g_jax.indoor.learning.networks import (
     COST_MAPS,
     ENCODER_FOLDER,
     CostMapArchitecture,
     CostMapNetwork,
 )
-from dc2g_jax._src.search_indoors.search.evaluation import METRICS
+from dc2g_jax.indoor.search.evaluation import METRICS
+from experiments import objectnav_table2
+from experiments.objectnav_table2 import Options, main
+from experiments.support import searches
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

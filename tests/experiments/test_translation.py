@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5
-from dc2g_jax._src.cli.commands.reproduce_fig5 import TranslationOptions, train_translators, translation_data
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.training import step
 from dc2g_jax._src.training.loop import Log
+from experiments import reproduce_fig4, reproduce_fig5
+from experiments.reproduce_fig5 import TranslationOptions, train_translators, translation_data
 from tests.support import maps
 
 OPTIONS = TranslationOptions(

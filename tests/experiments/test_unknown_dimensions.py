@@ -12,9 +12,9 @@ from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import read_rows
-from experiments import unknown_dimensions
 from experiments.benchmarks.extents import Window, WindowedEstimator
-from experiments.unknown_dimensions import (
+from experiments.studies import unknown_dimensions
+from experiments.studies.unknown_dimensions import (
     Options,
     Worlds,
     estimators_by_planner,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import dc2g_jax._src.grid.world
-import dc2g_jax._src.mapping.semantic_map
-import dc2g_jax._src.search_indoors.maps.classes
-import dc2g_jax._src.search_indoors.maps.mapping
+import dc2g_jax.indoor.maps.classes
+import dc2g_jax.indoor.maps.mapping
+import dc2g_jax.robot.mapping.semantic_map
 from dc2g_jax._src.grid import bitboard, terrain
-from dc2g_jax._src.mapping.camera import Frame, level_camera
+from dc2g_jax.robot.mapping.camera import Frame, level_camera
 from tests.support.frames import CAMERA, SETTINGS
 
 
@@ -41,7 +41,7 @@ def with_classes(number: int, monkeypatch) -> ModuleType:
 @pytest.mark.parametrize("number", [17, 33, 254])
 def test_a_semantic_map_holds_every_class(number, monkeypatch):
     assert len(with_classes(number, monkeypatch).CLASS_NAMES) == number
-    semantic_map = loaded(dc2g_jax._src.mapping.semantic_map, monkeypatch)
+    semantic_map = loaded(dc2g_jax.robot.mapping.semantic_map, monkeypatch)
     settings = semantic_map.MapSettings(**vars(SETTINGS))
     ahead = level_camera(5.25, -4.25, 0.8, 0.0)
     shape = (CAMERA.height, CAMERA.width)
@@ -55,7 +55,7 @@ def test_a_semantic_map_holds_every_class(number, monkeypatch):
 
 
 def test_a_semantic_map_takes_two_bytes_a_voxel():
-    known = dc2g_jax._src.mapping.semantic_map.empty_map(SETTINGS)
+    known = dc2g_jax.robot.mapping.semantic_map.empty_map(SETTINGS)
     assert known.log_odds.nbytes + known.votes.nbytes == 2 * np.prod(SETTINGS.shape)
 
 
@@ -75,9 +75,9 @@ def test_more_classes_than_fit_into_a_byte_are_refused(monkeypatch):
 
 
 def test_more_indoor_classes_than_bits_in_a_cell_are_refused(monkeypatch):
-    monkeypatch.setattr(dc2g_jax._src.search_indoors.maps.classes, "SEMANTIC_CLASSES", 31)
+    monkeypatch.setattr(dc2g_jax.indoor.maps.classes, "SEMANTIC_CLASSES", 31)
     with pytest.raises(ValueError, match=r"^31 indoor classes.* 30 are possible$"):
-        loaded(dc2g_jax._src.search_indoors.maps.mapping, monkeypatch)
+        loaded(dc2g_jax.indoor.maps.mapping, monkeypatch)
 
 
 def test_the_first_class_is_unknown_and_black():

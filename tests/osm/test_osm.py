@@ -22,9 +22,9 @@ from dc2g_jax._src.grid.terrain import (
     TREE,
     UNKNOWN,
 )  # fmt: skip
-from dc2g_jax._src.osm._shapes import sidewalk_sides, street_width
-from dc2g_jax._src.osm.extract import Extract, read_extract
-from dc2g_jax._src.osm.neighborhood import BuildingMap, Neighborhood
+from dc2g_jax.osm._shapes import sidewalk_sides, street_width
+from dc2g_jax.osm.extract import Extract, read_extract
+from dc2g_jax.osm.neighborhood import BuildingMap, Neighborhood
 from tests.support.hamlet import LATITUDE, LONGITUDE, METERS_A_DEGREE, Drawing, hamlet, with_tags
 from tests.support.refusals import refusal
 

@@ -11,7 +11,7 @@ from dc2g_jax._src.readers import families
 from dc2g_jax._src.readers.families import family_of, gather
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import why_no_episode
-from dc2g_jax._src.search_indoors.houses import dataset as indoor
+from dc2g_jax.indoor.houses import dataset as indoor
 from tests.support.hamlet import Drawing, hamlet
 from tests.support.maps import drawn
 from tests.support.refusals import refusal

@@ -110,7 +110,7 @@ def test_the_table_is_the_same_on_any_number_of_devices_and_processes(tmp_path):
     houses = load_dataset(folder).houses
     rows = [",".join(map(str, start[:4])) for start in sample_starts(houses, 3, seed=0)]
     starts.write_text("\n".join(["house,x,y,heading", *rows]))
-    command = [sys.executable, "-m", "experiments.run_episodes", "--starts", starts, "--dataset", folder]
+    command = [sys.executable, "-m", "dc2g_jax", "run", "--starts", starts, "--dataset", folder]
     command += ["--planner", "frontier", "--out"]
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"127.0.0.1:{free.getsockname()[1]}"

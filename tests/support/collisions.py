@@ -114,14 +114,15 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.readers.starts import Start
     from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
-    from dc2g_jax._src.search_indoors.learning import training as indoor_training
-    from dc2g_jax._src.search_indoors.search import guides, searches
-    from dc2g_jax._src.training import cost_to_go, translator
-    from dc2g_jax._src.training.image_evaluation import compare
+    from dc2g_jax._src.training import cost_to_go
     from dc2g_jax._src.training.masks import collect_masks
     from dc2g_jax._src.training.step import stacked, supervised_step
     from dc2g_jax._src.training.sweeps import stacked_hyperparameters
+    from dc2g_jax.indoor.learning import training as indoor_training
+    from dc2g_jax.indoor.search import guides, searches
     from experiments.benchmarks import workload
+    from experiments.translator import training as translator
+    from experiments.translator.evaluation import compare
     from tests.support import drives, trainings
     from tests.support.houses import DATASET, STREET
     from tests.support.two_rooms import AGENT, two_rooms

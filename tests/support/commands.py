@@ -7,9 +7,10 @@ from tests.support.places import ROOT
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess:
-    """Run `python -m experiments.<arguments>`."""
-    command = [sys.executable, "-m", *(str(argument) for argument in arguments)]
-    command[2] = f"experiments.{command[2]}"
+    """Run a command: the first argument is `dc2g NAME`, or the name of an experiment."""
+    name, *options = map(str, arguments)
+    words = ["dc2g_jax", *name.split()[1:]] if name.startswith("dc2g ") else [f"experiments.{name}"]
+    command = [sys.executable, "-m", *words, *options]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
 
 

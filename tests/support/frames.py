@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics
-from dc2g_jax._src.mapping.semantic_map import MapSettings
+from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics
+from dc2g_jax.robot.mapping.semantic_map import MapSettings
 
 #: A small map, its voxels not cubes, no two of its sizes equal. It is larger than the window of a camera.
 SETTINGS = MapSettings(

@@ -15,40 +15,30 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli import episodes, searches
-from dc2g_jax._src.cli.commands import (
-    compare,
-    head_to_head,
-    noisy_mapping,
-    objectnav_table1,
-    objectnav_table2,
-    objectnav_train,
-    reproduce_fig5,
-    reproduce_fig7,
-    run_episodes,
-    sweep_losses,
-    train,
-)
-from dc2g_jax._src.cli.driving import DriveResult
+from dc2g_jax._src.cli import episodes
+from dc2g_jax._src.cli.commands import compare, run_episodes, sweep, train
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
 from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import PublishedEpisode, Start
-from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
-from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
-from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
-from dc2g_jax._src.search_indoors.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
 from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import TrainingState
-from experiments import unknown_dimensions
+from dc2g_jax.indoor import train_command
+from dc2g_jax.indoor.learning.collecting import CollectionConfig
+from dc2g_jax.indoor.learning.losses import OF_CLASSES
+from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax.indoor.search.evaluation import METRICS, SearchResult
+from experiments import head_to_head, noisy_mapping, objectnav_table1, objectnav_table2, reproduce_fig5, reproduce_fig7
+from experiments.studies import unknown_dimensions
+from experiments.support import published, searches
+from experiments.support.driving import DriveResult
+from experiments.support.published import PUBLISHED_GROUPS
 from tests.support import trainings
 from tests.support.houses import STREET, YARD
 from tests.support.two_rooms import AGENT, two_rooms
@@ -242,16 +232,16 @@ def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     return _command(train, options)
 
 
-def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    _training(patch, sweep_losses)
-    patch.setattr(sweep_losses, "validation_pairs", lambda *args, **options: None)
+def sweep_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _training(patch, sweep)
+    patch.setattr(sweep, "validation_pairs", lambda *args, **options: None)
     patch.setattr(sweeps, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
-    patch.setattr(sweep_losses, "plot_sweep", fake_figure)
-    options = sweep_losses.Options(
+    patch.setattr(sweep, "plot_sweep", fake_figure)
+    options = sweep.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=("2,2,2,2",), losses=("l1",), seeds=(0, 1),
         steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0,
     )  # fmt: skip
-    return _command(sweep_losses, options)
+    return _command(sweep, options)
 
 
 def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
@@ -268,30 +258,30 @@ def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Co
     return _command(reproduce_fig5, options)
 
 
-def objectnav_train_(
+def train_command_(
     dataset: str, folder: Path, patch: pytest.MonkeyPatch, encoder: Path | None = None
 ) -> Command:  # fmt: skip
-    patch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
-    patch.setattr(objectnav_train, "random_views", lambda *args: None)
-    patch.setattr(objectnav_train, "EncoderArchitecture", lambda: SMALL_ENCODER)
-    patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
-    patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
-    patch.setattr(objectnav_train, "supervised_step", fake_step)
-    patch.setattr(objectnav_train, "first_state", functools.cache(objectnav_train.first_state))
-    patch.setattr(objectnav_train, "validation_samples", lambda *args: None)
-    patch.setattr(objectnav_train, "figures", lambda *args: {"error": 0.5})
-    options = objectnav_train.Options(
+    patch.setattr(train_command, "indoor_houses", lambda *args, **options: [two_rooms()])
+    patch.setattr(train_command, "random_views", lambda *args: None)
+    patch.setattr(train_command, "EncoderArchitecture", lambda: SMALL_ENCODER)
+    patch.setattr(train_command, "encoder_task", fake_encoder_task)
+    patch.setattr(train_command, "collect", lambda *args: trainings.journeys())
+    patch.setattr(train_command, "supervised_step", fake_step)
+    patch.setattr(train_command, "first_state", functools.cache(train_command.first_state))
+    patch.setattr(train_command, "validation_samples", lambda *args: None)
+    patch.setattr(train_command, "figures", lambda *args: {"error": 0.5})
+    options = train_command.Options(
         out=folder, count=1, validation_houses=1, encoder=encoder, encoder_steps=2, widths=(2, 2), steps=1,
         batch_size=1, collection=CollectionConfig(journeys=1, views=4, places=1), validate_every=1,
         minutes_per_checkpoint=0.0,
     )  # fmt: skip
-    return _command(objectnav_train, options)
+    return _command(train_command, options)
 
 
-def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+def train_command_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(0))
     write_network(folder / "given", weights, SMALL_ENCODER, ENCODER)
-    return objectnav_train_(dataset, folder, patch, folder / "given")
+    return train_command_(dataset, folder, patch, folder / "given")
 
 
 #: `(houses, folder for inputs, patch) -> command`, by the name of its module.
@@ -299,7 +289,7 @@ COMMANDS: dict[str, Callable[[str, Path, pytest.MonkeyPatch], Command]] = {
     each.__name__.rstrip("_"): each
     for each in (
         run_episodes_, reproduce_fig7_, compare_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
-        objectnav_table2_, train_, sweep_losses_, reproduce_fig5_, objectnav_train_,
-        objectnav_train_with_encoder_,
+        objectnav_table2_, train_, sweep_, reproduce_fig5_, train_command_,
+        train_command_with_encoder_,
     )
 }  # fmt: skip

@@ -18,17 +18,18 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
-from dc2g_jax._src.search_indoors.learning import training as cost_maps
-from dc2g_jax._src.search_indoors.learning.data import JourneySet
-from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture
-from dc2g_jax._src.search_indoors.learning.training import BETTER_RECIPE, CostMapConfig
-from dc2g_jax._src.training import cost_to_go, translator
+from dc2g_jax._src.training import cost_to_go
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
-from dc2g_jax._src.training.drawn_masks import drawn_masks
-from dc2g_jax._src.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import Supervised, TrainingState, supervised_step
-from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining
+from dc2g_jax.indoor.learning import training as cost_maps
+from dc2g_jax.indoor.learning.data import JourneySet
+from dc2g_jax.indoor.learning.networks import CostMapArchitecture
+from dc2g_jax.indoor.learning.training import BETTER_RECIPE, CostMapConfig
+from experiments.translator import training as translator
+from experiments.translator.drawn_masks import drawn_masks
+from experiments.translator.pairs import ImageSet, all_pairs, draw_image_pairs
+from experiments.translator.training import TranslatorConfig, TranslatorTraining
 from tests.support import maps
 
 COST_TO_GO = TrainingConfig(

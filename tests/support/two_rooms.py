@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from dc2g_jax._src.mapping.camera import intrinsics
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
-from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region
-from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
-from dc2g_jax._src.search_indoors.search.agent import LIMITS, Agent, with_mpc
-from dc2g_jax._src.search_indoors.search.guides import nearest_frontier, until_seen
-from dc2g_jax._src.vehicles.mppi import MPPISettings
+from dc2g_jax.indoor.houses.dataset import IndoorHouse
+from dc2g_jax.indoor.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
+from dc2g_jax.indoor.houses.worlds import IndoorWorld, largest_region
+from dc2g_jax.indoor.maps.classes import BED, PLANT
+from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
+from dc2g_jax.indoor.search.agent import LIMITS, Agent, with_mpc
+from dc2g_jax.indoor.search.guides import nearest_frontier, until_seen
+from dc2g_jax.robot.driving.mppi import MPPISettings
+from dc2g_jax.robot.mapping.camera import intrinsics
 
 #: An agent with a small camera that samples few controls.
 AGENT = Agent(

@@ -11,7 +11,7 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.training.cost_to_go import first_state
-from dc2g_jax._src.training.translator import TranslatorConfig
+from experiments.translator.training import TranslatorConfig
 from tests.support.trainings import CASES, COST_TO_GO as CONFIG, train
 
 

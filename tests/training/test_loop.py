@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.training.loop import Log, Pauses, Task, train
+from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
 from tests.support.refusals import refusal
 from tests.support.trainings import Count, count_step
 
@@ -55,7 +55,7 @@ class Training:
             25, **{"step": self.step, "validate": self.validate, **changes},
             validated=self.validations, name="test", steps_per_look=4,
         )  # fmt: skip
-        return train(task, self.out, self, Pauses(validate_every, minutes))
+        return fit(task, self.out, self, Pauses(validate_every, minutes))
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ import pytest
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.rollouts import devices
 from dc2g_jax._src.rollouts.devices import mesh_for_batch
-from dc2g_jax._src.training import step, translator
+from dc2g_jax._src.training import step
 from dc2g_jax._src.training.step import draw_batches, learn, placed, supervised_step
+from experiments.translator import training as translator
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import CASES, Case, train
 

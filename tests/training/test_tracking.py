@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.training.loop import Pauses, Task, train
+from dc2g_jax._src.training.loop import Pauses, Task, fit
 from dc2g_jax._src.training.tracking import Curve, check_tracker
 from tests.support.trainings import Count, count_step
 
@@ -74,7 +74,7 @@ def trained(out: Path, checkpoints: Checkpoints, fail_at: int | None = None, tra
         10, step, validate, steps_per_look=2, runs=runs,
         learning_rate=lambda step: 0.1 * step, pictures=lambda state: [PICTURE] * (len(runs) or 1),
     )  # fmt: skip
-    train(task, out, checkpoints, Pauses(5, 0.0), track)
+    fit(task, out, checkpoints, Pauses(5, 0.0), track)
 
 
 WHOLE = [

@@ -25,7 +25,7 @@ from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import extra_steps
-from dc2g_jax._src.viewer import _legend as legend
+from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.recording import record_episode, record_frames
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import toy

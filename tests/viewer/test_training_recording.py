@@ -23,11 +23,11 @@ from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.rollouts.devices import mesh_for_batch
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, learning_rates
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
-from dc2g_jax._src.training.loop import Pauses, Task, train
+from dc2g_jax._src.training.loop import Pauses, Task, fit
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import supervised_step
-from dc2g_jax._src.viewer import _legend as legend
-from dc2g_jax._src.viewer._legend import CostScale
+from dc2g_jax._src.viewer import legend
+from dc2g_jax._src.viewer.legend import CostScale
 from dc2g_jax._src.viewer.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from tests.support.recordings import read
 
@@ -200,7 +200,7 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
             steps_per_look=1,
         )
         out = tmp_path / name
-        return train(task, out, TrainingCheckpoints(out, _CONFIG, first_state=first_state), Pauses(2, 1.0))
+        return fit(task, out, TrainingCheckpoints(out, _CONFIG, first_state=first_state), Pauses(2, 1.0))
 
     def network_of(state):
         return NetworkCostToGo(weights=state.average, architecture=_CONFIG.architecture)

@@ -242,7 +242,10 @@ def print_files(out: Path) -> None:
 
 def program() -> str:
     """The running command as typed: `dc2g NAME` or `python -m experiments.MODULE`."""
-    return sys.argv[0] if sys.argv[0].startswith("dc2g ") else f"python -m experiments.{Path(sys.argv[0]).stem}"
+    if sys.argv[0].startswith("dc2g "):
+        return sys.argv[0]
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    return f"python -m {module.name if module else Path(sys.argv[0]).stem}"
 
 
 def command_written() -> str:

@@ -63,7 +63,11 @@ class Kind(NamedTuple):
 _KINDS: dict[type[TrainedNetwork], Kind] = {
     NetworkCostToGo: Kind(COMPACT_UNET, Architecture, network_class, CLASS_NAMES, "dc2g train"),
     TranslatorCostToGo: Kind(
-        "pix2pix", TranslatorArchitecture, lambda architecture: Generator, CLASS_NAMES, "dc2g fig5"
+        "pix2pix",
+        TranslatorArchitecture,
+        lambda architecture: Generator,
+        CLASS_NAMES,
+        "python -m experiments.reproduce_fig5",
     ),
 }
 

@@ -21,8 +21,8 @@ from dc2g_jax._src.files.class_images import (
 )
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.osm.neighborhood import drawn_extracts, extract_files
 from dc2g_jax._src.own_parts import is_own_part, own_part
+from dc2g_jax._src.plugins import plugins
 from dc2g_jax._src.procedural import procedural_houses
 from dc2g_jax._src.procedural.plain import PLAIN, plain_maps
 from dc2g_jax._src.procedural.towns import drawn_towns
@@ -36,11 +36,11 @@ _PUBLISHED_NAME = "driveways_bing_iros19"
 #: Locations that stand for the procedural houses, and for the drawn towns.
 PROCEDURAL, TOWNS = "procedural", "towns"
 
-#: Words for datasets that are made in rooms above, which are imported when they are asked for.
-_MADE_ABOVE = {"floor_plans": "dc2g_jax._src.search_indoors.houses.dataset:floor_plan_dataset"}
+#: Words for datasets of plug-ins.
+_BY_PLUGINS = plugins("datasets")
 
 #: Locations that are words instead of folders.
-NAMED = (PROCEDURAL, TOWNS, *PLAIN, *_MADE_ABOVE)
+NAMED = (PROCEDURAL, TOWNS, *PLAIN, *_BY_PLUGINS)
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
 
@@ -206,18 +206,6 @@ def grid_dataset(kind: str) -> HouseDataset:
     return HouseDataset(kind, PROCEDURAL, tuple(houses))
 
 
-def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
-    """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`, on maps of 60 m.
-
-    Raises:
-        InputError: an extract cannot be read, or no building has a street in reach.
-    """
-    houses = tuple(House(name, "test", sampled(name, classes, 50)) for name, classes in drawn_extracts(Path(folder)))
-    if not houses:
-        raise InputError(f"{folder}: no building of its extracts has a street in reach; give other extracts")
-    return HouseDataset(Path(folder).resolve().name, "folder", houses)
-
-
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Read a folder of maps of any size, see `readers.maps.read_map_folder`.
 
@@ -283,7 +271,8 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
         return procedural_dataset(cells=cells)
     if location in (TOWNS, *PLAIN):
         return grid_dataset(location)
-    location = _MADE_ABOVE.get(location, location)
+    if location in _BY_PLUGINS:
+        return _BY_PLUGINS[location].load()()
     if is_own_part(location):
         return _own_dataset(location)
     try:
@@ -293,8 +282,10 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
         found = False
     if not found:
         raise InputError(f"{location!r}: {setting} is not a folder; give a dataset's, or one of {', '.join(NAMED)}")
-    if extract_files(folder):
-        return extract_dataset(folder)
+    for plugin in plugins("dataset_folders").values():
+        dataset = plugin.load()(folder)
+        if dataset is not None:
+            return dataset
     return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
 
 

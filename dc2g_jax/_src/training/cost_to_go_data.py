@@ -17,9 +17,9 @@ from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, world_cost_to_go
 from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.label_noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax._src.mapping.noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.procedural import procedural_training_houses

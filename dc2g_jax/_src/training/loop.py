@@ -234,7 +234,7 @@ def _check_finite(losses: Losses, step: int, out: Path) -> None:
         )
 
 
-def train(
+def fit(
     task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pauses, track: TrackerName | None = None
 ) -> _State:
     """Train to the end from the newest checkpoint. Saves checkpoints regularly, at the end, and at Ctrl-C.

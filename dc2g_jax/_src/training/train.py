@@ -181,7 +181,7 @@ def train(
         begun = functools.partial(_begun, network=network)
         checkpoints = TrainingCheckpoints(out, config, facts, first_state=begun)
         task = _task(out, dataset, config, data, pauses, network, card, watching)
-        state = loop.train(task, out, checkpoints, pauses, watching.track)
+        state = loop.fit(task, out, checkpoints, pauses, watching.track)
     trained = _network_of(state, config)
     return Trained(
         trained, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=trained)

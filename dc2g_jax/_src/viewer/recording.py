@@ -24,8 +24,7 @@ from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOA
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
-from dc2g_jax._src.viewer import _legend as legend
-from dc2g_jax._src.viewer._legend import CostScale
+from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.columns import (
     SO_FAR,
     centers,
@@ -40,6 +39,7 @@ from dc2g_jax._src.viewer.columns import (
     send_lines,
     send_track,
 )
+from dc2g_jax._src.viewer.legend import CostScale
 
 
 def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: CostScale) -> None:

@@ -28,9 +28,9 @@ from dc2g_jax._src.training.cost_to_go import TrainingConfig, learning_rates
 from dc2g_jax._src.training.cost_to_go_data import training_set
 from dc2g_jax._src.training.masks import Masks, collect_masks
 from dc2g_jax._src.training.pairs import Pair, make_pair
-from dc2g_jax._src.viewer import _legend as legend
-from dc2g_jax._src.viewer._legend import CostScale
+from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.columns import TIMELINE, curve_style, first_view, image_style, open_recording
+from dc2g_jax._src.viewer.legend import CostScale
 
 #: Gap between two maps side by side, columns.
 _GAP = 2

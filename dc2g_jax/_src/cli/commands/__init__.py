@@ -8,41 +8,30 @@ import importlib
 import importlib.metadata
 import os
 import sys
-from types import TracebackType
 from typing import Annotated, Any, NoReturn, Union
 
-from dc2g_jax._src.errors import InputError, reader_may_leave, require_extra
+from dc2g_jax._src.cli import prepare
+from dc2g_jax._src.errors import InputError, reader_may_leave
+from dc2g_jax._src.plugins import plugins
 
-#: Command name -> its module here, and its description. `python -m experiments.MODULE` runs it in a checkout.
+#: The package's commands by name: module and description. `COMMANDS` of a plug-in has the same form.
+_OWN = "dc2g_jax._src.cli.commands"
 COMMANDS = {
-    "fig4": ("reproduce_fig4", "Fig. 4: predictions of a network on whole and partial maps of test houses"),
-    "fig5": (
-        "reproduce_fig5",
-        "Fig. 5: train the paper's image-to-image translator, three losses compared throughout training",
+    "run": (f"{_OWN}.run_episodes", "run planners from the starts in a CSV file"),
+    "compare": (
+        f"{_OWN}.compare",
+        "all planners in all families of maps: a table, a figure and the page leaderboard.md",
     ),
-    "fig6": ("reproduce_fig6", "Fig. 6: networks on every test house, against its distance from training houses"),
-    "fig7": ("reproduce_fig7", "Fig. 7: extra steps beyond an oracle, by planner and neighborhood"),
-    "fig8": ("reproduce_fig8", "Fig. 8: planners side by side from one start"),
-    "fig9": ("reproduce_fig9", "Fig. 9: a vehicle with a camera drives to a front door"),
-    "run": ("run_episodes", "run planners from the starts in a CSV file"),
-    "head-to-head": ("head_to_head", "the authors' network against ours on the 400 published episodes"),
-    "compare": ("compare", "all planners in all families of maps: a table, a figure and the page leaderboard.md"),
-    "noisy-mapping": ("noisy_mapping", "drives from camera to door with increasing noise"),
-    "map check": ("check_map", "check a map of your own"),
-    "map explore": ("explore_map", "run planners on a map of your own"),
-    "map osm": ("import_osm", "make maps of the buildings of an OpenStreetMap extract"),
-    "map recording": ("map_recording", "map a recorded sequence of depth images"),
-    "demo": ("demo", "watch planners step by step in the browser, on a map that you choose or draw"),
-    "draw dataset": ("draw_dataset", "every house of a dataset as a small map"),
-    "draw episodes": ("draw_episodes", "figures of earlier episodes"),
-    "train": ("train", "train the cost-to-go network"),
-    "sweep": ("sweep_losses", "train networks with many losses, learning rates, widths and seeds"),
-    "export": ("export_network", "write a trained network as an ONNX file"),
-    "objectnav fig5": ("objectnav_fig5", "dense cost maps, Figs. 4 and 5: a search for an object"),
-    "objectnav table1": ("objectnav_table1", "dense cost maps, Table I: searching houses for objects"),
-    "objectnav table2": ("objectnav_table2", "dense cost maps, Table II: inputs of the network"),
-    "objectnav train": ("objectnav_train", "train the network that predicts cost maps indoors"),
+    "map check": (f"{_OWN}.check_map", "check a map of your own"),
+    "map explore": (f"{_OWN}.explore_map", "run planners on a map of your own"),
+    "draw dataset": (f"{_OWN}.draw_dataset", "every house of a dataset as a small map"),
+    "draw episodes": (f"{_OWN}.draw_episodes", "figures of earlier episodes"),
+    "train": (f"{_OWN}.train", "train the cost-to-go network"),
+    "sweep": (f"{_OWN}.sweep", "train networks with many losses, learning rates, widths and seeds"),
+    "export": (f"{_OWN}.export_network", "write a trained network as an ONNX file"),
 }
+for _plugin in plugins("commands").values():
+    COMMANDS |= _plugin.load()
 
 #: First words of commands of two words.
 _GROUPS = dict.fromkeys(name.partition(" ")[0] for name in COMMANDS if " " in name)
@@ -77,13 +66,18 @@ def _run(words: list[str]) -> None:
     for count in (2, 1):
         name = " ".join(words[:count])
         if name in COMMANDS:
-            prepare()
             # As with `python -m`: Python finds the user's planners, `package.module:Name`, here.
             sys.path.append(os.getcwd())
             sys.argv = [f"dc2g {name}", *words[count:]]
-            command = _module(COMMANDS[name][0])
-            from dc2g_jax._src.cli.common import command_line
-
+            try:
+                prepare()
+                command = importlib.import_module(COMMANDS[name][0])
+                from dc2g_jax._src.cli.common import command_line
+            except InputError as error:
+                _refuse(error)
+            except KeyboardInterrupt:  # slow imports
+                print("interrupted", file=sys.stderr)
+                sys.exit(130)
             command_line(command.Options, command.main)
             return
     asked = " ".join(words[:2]) if words[0] in _GROUPS else words[0]
@@ -110,11 +104,6 @@ def _overview(group: str = "") -> str:
     return "\n".join([f"usage: dc2g {group}COMMAND [OPTIONS]", "", *lines, "", *hints])
 
 
-def _module(name: str) -> Any:
-    """The module of a command."""
-    return importlib.import_module(f"{__name__}.{name}")
-
-
 def _print_completion(shell: str) -> NoReturn:
     """Print a script that completes commands and options in a shell, and exit."""
     prepare()
@@ -129,31 +118,9 @@ def _print_completion(shell: str) -> NoReturn:
     groups: dict[str, dict[str, Any]] = {}
     for name, (module, _) in COMMANDS.items():
         first, _, second = name.partition(" ")
-        groups.setdefault(first, {})[second] = _module(module).Options
+        groups.setdefault(first, {})[second] = importlib.import_module(module).Options
     every = {first: own.get("") or one_of(own) for first, own in groups.items()}
     words, config = ["--tyro-write-completion", shell, "-"], (tyro.conf.FlagCreatePairsOff,)
     with reader_may_leave():
         tyro.cli(one_of(every), prog="dc2g", args=words, config=config)
     raise AssertionError("tyro exits when it has printed")
-
-
-def prepare() -> None:
-    """Set up a command before slow imports: handle Ctrl-C, and limit progress lines in log files.
-
-    Exits if the extra `all`, which every command needs, is not installed.
-    """
-    if not sys.stderr.isatty():
-        os.environ.setdefault("TQDM_MININTERVAL", "15")
-    sys.excepthook = _tell_exception
-    try:
-        require_extra("cv2", "matplotlib", "orbax", "rerun", "tyro")
-    except InputError as error:
-        _refuse(error)
-
-
-def _tell_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Print the exception that ended the program; a single line for Ctrl-C."""
-    if issubclass(kind, KeyboardInterrupt):
-        print("interrupted", file=sys.stderr)
-    else:
-        sys.__excepthook__(kind, error, trace)

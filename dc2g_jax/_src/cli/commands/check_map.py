@@ -1,10 +1,9 @@
-"""Check a map of your own before planning on it: `python -m experiments.check_map my.png --palette palette.csv`."""
+"""Check a map of your own before planning on it: `dc2g map check my.png --palette palette.csv`."""
 
 import dataclasses
 
 import numpy as np
 
-from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, terrain_of
 from dc2g_jax._src.cli.options import OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
@@ -34,7 +33,3 @@ def main(options: Options) -> None:
     plot_map(out / options.map.stem, title, terrain, cost_to_go, palette)
     print_files(out)
     require_path_to_goal(str(options.map), terrain)
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

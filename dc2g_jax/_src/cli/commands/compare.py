@@ -1,4 +1,4 @@
-"""Compare planners in families of maps: `python -m experiments.compare`."""
+"""Compare planners in families of maps: `dc2g compare`."""
 
 import dataclasses
 import itertools
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
+from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests, network_for
 from dc2g_jax._src.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import command_written, output_folder, print_files
@@ -112,7 +112,3 @@ def main(options: Options) -> None:
     print((out / "leaderboard.md").read_text(encoding="utf-8"))
     print(f"{len(results):,} episodes; this run took {spent}")
     print_files(out)
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

@@ -1,4 +1,4 @@
-"""Every house of a dataset as a small map: `python -m experiments.draw_dataset --dataset FOLDER`."""
+"""Every house of a dataset as a small map: `dc2g draw dataset --dataset FOLDER`."""
 
 import dataclasses
 import sys
@@ -6,7 +6,6 @@ from typing import Literal
 
 from tqdm import tqdm
 
-from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
@@ -38,7 +37,3 @@ def main(options: Options) -> None:
         plot_contact_page(out / f"page-{number}", title, f"page {number} of {len(pages)}", rows)
     print(f"{title}, pages: {len(pages)}")
     print_files(out)
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

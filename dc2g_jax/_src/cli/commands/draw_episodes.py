@@ -1,4 +1,4 @@
-"""Draw figures of earlier episodes: `python -m experiments.draw_episodes outputs/RUN/episodes.csv`."""
+"""Draw figures of earlier episodes: `dc2g draw episodes outputs/RUN/episodes.csv`."""
 
 import dataclasses
 import sys
@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax._src.cli.common import PlannersOption, command_line
+from dc2g_jax._src.cli.common import PlannersOption
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
@@ -79,7 +79,3 @@ def main(options: Options) -> None:
     for name, own in tqdm(by_start.items(), desc="drawing", unit="figure", file=sys.stderr):
         plot_trajectories(out / name, dataset.house(next(iter(own.values())).house), own)
     print_files(out)
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

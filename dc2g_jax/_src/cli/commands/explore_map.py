@@ -1,8 +1,7 @@
-"""Run planners on a map of your own: `python -m experiments.explore_map my.png --palette palette.csv`."""
+"""Run planners on a map of your own: `dc2g map explore my.png --palette palette.csv`."""
 
 import dataclasses
 
-from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, pixels_of, start_in, terrain_of
 from dc2g_jax._src.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax._src.cli.options import StepLimitOptions
@@ -25,11 +24,7 @@ def main(options: Options) -> None:
     start = start_in(str(options.map), house, options.start, options.seed)
     doubts = doubts_about(options)
     run_one_start(options, "explore_map", "episode", house, start, step_limit=options.step_limit, warnings=doubts)
-    print("One start says little: --seed gives another; dc2g fig7 --settings paper --dataset FOLDER runs many.")
+    print("One start says little: --seed gives another; dc2g compare --family FOLDER runs many.")
     if options.network is None:
         for line in unlike_training(terrain, pixels_of(options)):
             print(f"Unlike the training: {line}")
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

@@ -1,4 +1,4 @@
-"""Write a trained network as an ONNX file: `python -m experiments.export_network FOLDER --out network.onnx`."""
+"""Write a trained network as an ONNX file: `dc2g export FOLDER --out network.onnx`."""
 
 import dataclasses
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Annotated
 
 import tyro
 
-from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.hub import load_network
@@ -35,7 +34,3 @@ def main(options: Options) -> None:
 
     export_onnx(load_network(options.network), options.out)
     print(f"Written to {options.out}, {options.out.stat().st_size / 1e6:.1f} MB")
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

@@ -1,4 +1,4 @@
-"""Run the episodes listed in a CSV file: `python -m experiments.run_episodes --starts starts.csv --out DIR`."""
+"""Run the episodes listed in a CSV file: `dc2g run --starts starts.csv --out DIR`."""
 
 import dataclasses
 import hashlib
@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
+from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder
@@ -63,7 +63,3 @@ def main(options: Options) -> None:
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
     print(as_text(summaries))
     print(f"Written to {out / 'episodes.csv'}")
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

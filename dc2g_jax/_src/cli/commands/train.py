@@ -1,4 +1,4 @@
-"""Train the cost-to-go network: `python -m experiments.train --out checkpoints/mine`.
+"""Train the cost-to-go network: `dc2g train --out checkpoints/mine`.
 
 After an interruption, --resume continues where it stopped.
 """
@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
+from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.errors import InputError
@@ -144,7 +144,3 @@ def main(options: Options) -> None:
     print(f"Trained: {options.out / 'network'}")
     if trained.results is not None:
         print(f"In the houses of split {options.split}:\n{trained.results}")
-
-
-if __name__ == "__main__":
-    command_line(Options, main)

@@ -1,1 +1,0 @@
-"""Maps from OpenStreetMap extracts: reading them, drawing their classes, and adding doors, driveways and walks."""

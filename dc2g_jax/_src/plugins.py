@@ -1,0 +1,14 @@
+"""What installed packages add to `dc2g_jax` by entry points, so that nothing here has to know of them.
+
+Groups: `dc2g_jax.commands` (tables of commands, see `cli.commands.COMMANDS`), `dc2g_jax.datasets` (functions without
+arguments that return a `HouseDataset`, by the word that stands for it) and `dc2g_jax.dataset_folders` (functions that
+return the `HouseDataset` in a folder, or `None` if the folder has another layout).
+"""
+
+import importlib.metadata
+
+
+def plugins(group: str) -> dict[str, importlib.metadata.EntryPoint]:
+    """The entry points of a group by name, in the order of their names."""
+    found = importlib.metadata.entry_points(group=f"dc2g_jax.{group}")
+    return {point.name: point for point in sorted(found, key=lambda point: point.name)}

@@ -1,0 +1,10 @@
+"""Search for objects indoors: houses, semantic maps, costs of the path to an object, and control."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+#: Its commands, see `dc2g_jax._src.plugins`.
+COMMANDS = {
+    "train-indoor": ("dc2g_jax.indoor.train_command", "train the network that predicts cost maps indoors"),
+}

@@ -1,0 +1,175 @@
+"""Houses for object search, by split: procedural houses, or houses from ProcTHOR's files."""
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dc2g_jax.datasets import PROCEDURAL, SPLITS, House, HouseDataset, with_door
+from dc2g_jax.grid import component_numbers
+from dc2g_jax.indoor.houses.furnishing import furnish
+from dc2g_jax.indoor.houses.layouts import draw_layout
+from dc2g_jax.indoor.houses.placing import CHECK_CELLS, Floor, RoomSketch
+from dc2g_jax.indoor.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
+from dc2g_jax.indoor.houses.procthor import read_procthor
+from dc2g_jax.indoor.houses.worlds import IndoorWorld
+from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, inflated
+from dc2g_jax.runtime import InputError
+
+#: File endings of houses.
+_ENDINGS = (".jsonl.gz", ".jsonl")
+
+_ATTEMPTS = 100
+
+
+class IndoorHouse(NamedTuple):
+    """One house.
+
+    Attributes:
+      name: such as `train-17`: the split, and the line of the file or the index of the procedural house.
+      world: the house as cells.
+    """
+
+    name: str
+    world: IndoorWorld
+
+
+def _check_split(split: str) -> None:
+    if split not in SPLITS:
+        raise InputError(f"no split is called {split!r}; use one of: {', '.join(SPLITS)}")
+
+
+def draw_plan(seed: int, split: str, index: int) -> HousePlan:
+    """Draw a furnished house. Every combination of seed, split and index has its own random numbers.
+
+    A robot of default radius can drive between all cells in which it fits. This is checked with cells of `CHECK_CELLS`;
+    with finer cells there may be isolated gaps behind furniture. All doors are open.
+
+    Raises:
+      InputError: there is no such split, or a number is negative.
+    """
+    _check_split(split)
+    if seed < 0 or index < 0:
+        raise InputError(f"seed {seed}, house {index}: give numbers from 0 on")
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), index, attempt)))
+        layout = draw_layout(rng)
+        floor = Floor(layout)
+        rooms = [RoomSketch(rng, layout, number, floor) for number in range(len(layout.plan.rooms))]
+        for room in rooms:
+            furnish(room)
+        # An object near a border without wall may cut off a corner of the adjacent room.
+        if component_numbers(~inflated(~floor.free, ROBOT_RADIUS, CHECK_CELLS)).max() == 1:
+            return dataclasses.replace(layout.plan, furniture=tuple(piece for room in rooms for piece in room.pieces))
+    raise RuntimeError(f"no house within {_ATTEMPTS} drawings of seed {seed}, {split}, {index}")
+
+
+def indoor_houses(
+    location: str | os.PathLike[str] = PROCEDURAL,
+    split: str = "train",
+    *,
+    count: int | None = None,
+    cell_size: float = PLAN_CELL_SIZE,
+    seed: int = 0,
+    strict: bool = False,
+) -> list[IndoorHouse]:
+    """The first houses of a split.
+
+    Args:
+        location: 'procedural' for procedural houses, whose number is unlimited, or a folder with the files `train`,
+            `val` and `test`, ending in `.jsonl.gz` or `.jsonl`, and `asset_boxes.json`.
+        split: 'train', 'val' or 'test'.
+        count: number of houses. `None` for all houses of a file, or for 20 procedural ones, as many as a split of
+            ProcTHOR's sample has.
+        cell_size: side of a cell, meters.
+        seed: seed of the procedural houses.
+        strict: whether an invalid house is an error, see `read_procthor`.
+
+    Raises:
+        InputError: the split, folder or file does not exist, a file is invalid, or it has fewer than `count` houses.
+    """
+    _check_split(split)
+    if count is not None and count < 1:
+        raise InputError(f"{count} houses: give a number of at least 1")
+    if location == PROCEDURAL:
+        plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
+    else:
+        path = _split_file(Path(location), split)
+        plans = read_procthor(path, strict=strict)
+        if count is not None and count > len(plans):
+            raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
+    return [IndoorHouse(f"{split}-{number}", world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
+
+
+def indoor_house(
+    name: str,
+    location: str | os.PathLike[str] = PROCEDURAL,
+    split: str = "train",
+    *,
+    cell_size: float = PLAN_CELL_SIZE,
+) -> IndoorHouse:
+    """The house of a split that has this name.
+
+    Raises:
+        InputError: there is none; or see `indoor_houses`, whose arguments the others are.
+    """
+    if location == PROCEDURAL:  # procedural houses are unlimited
+        number = name.removeprefix(f"{split}-")
+        if not number.isdecimal() or name != f"{split}-{int(number)}":
+            raise InputError(
+                f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
+                "on; give one of these, or another --split"
+            )
+        return IndoorHouse(name, world_from_plan(draw_plan(0, split, int(number)), cell_size))
+    houses = indoor_houses(location, split, cell_size=cell_size)
+    for house in houses:
+        if house.name == name:
+            return house
+    raise InputError(
+        f"--house {name}: {location} has no such house in its split {split}; give one from {houses[0].name} to "
+        f"{houses[-1].name}"
+    )
+
+
+def _split_file(folder: Path, split: str) -> Path:
+    """The file of a split.
+
+    Raises:
+        InputError: the folder has no file of the split.
+    """
+    paths = [folder / f"{split}{ending}" for ending in _ENDINGS]
+    for path in paths:
+        if path.is_file():
+            return path
+    raise InputError(f"{folder}: has no {' or '.join(path.name for path in paths)}; give a folder of ProcTHOR houses")
+
+
+#: Cells of a floor plan's map, and its least number of rooms.
+_MAP_CELLS, _FEWEST_ROOMS = 50, 4
+
+#: Floor plans of each split, the first of which are to choose on.
+_MAPS = {"val": 100, "test": 100}
+
+
+def floor_plan_dataset(seed: int = 0) -> HouseDataset:
+    """Procedural houses seen from above, as maps without classes: free or occupied cells, and a door to find.
+
+    The longer side of a house fills the map. Houses have four rooms at least; the door is a free cell at random.
+    """
+    houses: list[House] = []
+    for split, count in _MAPS.items():
+        index = found = 0
+        while found < count:
+            plan, rng = draw_plan(seed, split, index), np.random.default_rng([seed, index])
+            index += 1
+            if len(plan.rooms) < _FEWEST_ROOMS:
+                continue
+            sides = world_from_plan(plan, PLAN_CELL_SIZE).free.shape
+            free = world_from_plan(plan, max(sides) * PLAN_CELL_SIZE / _MAP_CELLS + 1e-3).free
+            classes = with_door(np.pad(free, [(0, _MAP_CELLS - side) for side in free.shape]), rng)
+            if classes is not None:
+                houses.append(House(f"{split}-{index - 1}", split, classes))
+                found += 1
+    return HouseDataset("floor_plans", PROCEDURAL, tuple(houses))

@@ -1,0 +1,295 @@
+"""Training of the network that predicts cost maps, and of the image encoder: recipes, steps, and validation."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int
+
+from dc2g_jax.estimation import fresh_weights, with_weights
+from dc2g_jax.indoor.learning import networks
+from dc2g_jax.indoor.learning.data import (
+    ALL_SYMMETRIES,
+    LOCAL,
+    NORMALIZATIONS,
+    PAPER_ROTATIONS,
+    UPRIGHT,
+    JourneySet,
+    Samples,
+    draw_samples,
+)
+from dc2g_jax.indoor.learning.losses import (
+    FIVE_ACTIONS,
+    NINE_ACTIONS,
+    action_accuracy,
+    confusion,
+    named_loss,
+    occupancy_scores,
+)
+from dc2g_jax.indoor.learning.midlevel import (
+    BLOCK,
+    Answers,
+    EncoderArchitecture,
+    SmallEncoder,
+    TrainedEncoder,
+)
+from dc2g_jax.indoor.learning.networks import CostMapArchitecture, Prediction
+from dc2g_jax.indoor.maps.camera import CameraView
+from dc2g_jax.indoor.maps.classes import OBJECT_CLASSES
+from dc2g_jax.indoor.maps.mapping import network_maps
+from dc2g_jax.runtime import first_copy, jit, mesh_for_batch, replicate
+from dc2g_jax.training import Losses, Supervised, Task, TrainingState, check_numbers, placed, state_of, supervised_step
+
+#: Least number of pixels of a class that counts as present in an image, and the depth at which errors are cut, meters.
+_PRESENT, _FAR = 12, 10.0
+
+#: Largest number of images for validation.
+_VALIDATION_VIEWS = 512
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """Settings of the optimization.
+
+    Attributes:
+      optimizer: a name of `OPTIMIZERS`.
+      peak: learning rate after the warm-up.
+      last: learning rate at the end of a cosine decay.
+      warmup: share of the steps over which the rate rises to its peak.
+      weight_decay: weight decay, see the optimizers.
+      symmetries: probability of each of `learning.data.SYMMETRIES`.
+      normalization: a name of `NORMALIZATIONS`.
+      average_decay: decay of the running average of the weights, which is saved; 0 saves the weights themselves.
+    """
+
+    optimizer: str
+    peak: float
+    last: float
+    warmup: float
+    weight_decay: float
+    symmetries: tuple[float, ...]
+    normalization: str
+    average_decay: float
+
+
+#: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`. SGD adds the decay to the gradient. The
+#: paper does not state its momentum; 0.9 is usual. AdamW clips gradients, and its decay is decoupled.
+OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {
+    "sgd": lambda rate, decay: optax.chain(optax.add_decayed_weights(decay), optax.sgd(rate, momentum=0.9)),
+    "adamw": lambda rate, decay: optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=decay)),
+}
+
+#: The recipe of the paper (section III-D), whose warm-up takes 25 of 200 epochs.
+PAPER_RECIPE = Recipe("sgd", 15e-5, 1e-5, 0.125, 0.01, PAPER_ROTATIONS, "share", 0.0)
+
+#: A recipe that is better after minutes of training: costs in meters, all symmetries.
+BETTER_RECIPE = Recipe("adamw", 1.5e-3, 1e-5, 0.05, 0.01, ALL_SYMMETRIES, "relative", 0.998)
+
+RECIPES = {"better": BETTER_RECIPE, "paper": PAPER_RECIPE}
+
+
+@dataclasses.dataclass(frozen=True)
+class CostMapConfig(Supervised):
+    """Configuration of a training run.
+
+    Attributes:
+      architecture: architecture of the network.
+      recipe: settings of the optimization.
+      steps: total number of optimizer steps.
+      batch_size: samples per step.
+      seed: seed of weights and batches.
+      loss: a name for `named_loss`.
+
+    Raises:
+      InputError: a number is out of range, or the loss is unknown.
+    """
+
+    architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
+    recipe: Recipe = BETTER_RECIPE
+    steps: int = 5000
+    batch_size: int = 16
+    seed: int = 0
+    loss: str = "paper"
+
+    def __post_init__(self) -> None:
+        named_loss(self.loss)
+        check_numbers(self.recipe.peak, steps=self.steps, batch_size=self.batch_size)
+
+    @property
+    def average_decay(self) -> float:
+        """That of the recipe."""
+        return self.recipe.average_decay
+
+    def learning_rates(self) -> optax.Schedule:
+        """`step ->` learning rate of the recipe."""
+        recipe, warmup = self.recipe, round(self.recipe.warmup * self.steps)
+        return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(self.steps, warmup + 1), recipe.last)
+
+    def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
+        """The optimizer of the recipe with its learning rates."""
+        return OPTIMIZERS[self.recipe.optimizer](self.learning_rates(), self.recipe.weight_decay)
+
+    def draw(self, data: JourneySet, step: Int[Array, ""], hyperparameters: None) -> Samples:
+        """The batch of a step, which only depends on the seed and the step."""
+        _, batches_key = jax.random.split(jax.random.key(self.seed))
+        return draw_samples(
+            jax.random.fold_in(batches_key, step),
+            data,
+            batch_size=self.batch_size,
+            symmetries=self.recipe.symmetries,
+            normalize=NORMALIZATIONS[self.recipe.normalization],
+        )
+
+    def gradient(self, state: TrainingState, batch: Samples, hyperparameters: None) -> tuple[Float[Array, ""], Any]:
+        """The mean loss of a batch, and its gradient."""
+        of_weights = jax.value_and_grad(lambda weights: mean_loss(self, weights, batch), has_aux=True)
+        (loss, _), gradient = of_weights(state.weights)
+        return loss, gradient
+
+
+def first_state(config: CostMapConfig) -> TrainingState:
+    """The state before the first step."""
+    weights_key, _ = jax.random.split(jax.random.key(config.seed))
+    weights = fresh_weights(networks.CostMapNetwork, config.architecture, weights_key)
+    return state_of(weights, config.optimizer(), config.average_decay)
+
+
+def mean_loss(
+    config: CostMapConfig, weights: Any, samples: Samples
+) -> tuple[Float[Array, ""], tuple[dict[str, Array], Prediction]]:
+    """Mean of the training's loss over a batch, the mean of each of its parts, and the predictions."""
+    maps = jax.vmap(functools.partial(network_maps, local=LOCAL))(samples.cells)
+    prediction = networks.apply(config.architecture, weights, maps, samples.target, samples.heading, samples.features)
+    loss, losses = jax.tree.map(jnp.mean, jax.vmap(named_loss(config.loss))(prediction, samples.occupied, samples.cost))
+    return loss, (losses, prediction)
+
+
+@functools.partial(jit, static_argnames="config")
+def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str, Array]:
+    """Losses, confusion matrix and action accuracies on a batch."""
+    loss, (losses, prediction) = mean_loss(config, weights, samples)
+    costs = prediction.fused_cost
+
+    def accuracy(actions: tuple[tuple[int, int], ...]) -> Array:
+        return jnp.mean(jax.vmap(functools.partial(action_accuracy, actions=actions))(costs, samples.cost))
+
+    return {
+        "loss": loss,
+        **losses,
+        "confusion": jnp.sum(jax.vmap(confusion)(prediction.occupancy > 0.5, samples.occupied), axis=0),
+        "aAP5": accuracy(FIVE_ACTIONS),
+        "aAP9": accuracy(NINE_ACTIONS),
+    }
+
+
+def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> list[Samples]:
+    """Fixed samples for validation, without symmetries, in batches of the training's size."""
+    draw = jit(
+        functools.partial(
+            draw_samples,
+            batch_size=config.batch_size,
+            symmetries=UPRIGHT,
+            normalize=NORMALIZATIONS[config.recipe.normalization],
+        )
+    )
+    keys = jax.random.split(jax.random.key(0), max(count // config.batch_size, 1))
+    return [draw(key, data) for key in keys]
+
+
+def figures(weights: Any, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
+    """Losses, and metrics of section III-B in percent, on validation samples."""
+    found = [jax.tree.map(np.asarray, _examine(weights, batch, config)) for batch in batches]
+    counts = sum(batch["confusion"].astype(np.float64) for batch in found)
+    mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}
+    percent: dict[str, Any] = occupancy_scores(jnp.asarray(counts, jnp.float32))
+    percent |= {name: mean.pop(name) for name in ("aAP5", "aAP9")}
+    return {
+        **{name: round(value, 4) for name, value in mean.items()},
+        **{name: round(100 * float(value), 2) for name, value in percent.items()},
+    }
+
+
+def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, ""]]:
+    """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of meters."""
+    classes = views.classes[:, BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK]
+    depth = views.depth[:, BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK]
+    present = jnp.sum(jax.nn.one_hot(views.classes, len(OBJECT_CLASSES)), axis=(1, 2)) >= _PRESENT
+    error = jnp.abs(answers.depth - jnp.minimum(depth, _FAR) / 10)
+    return {
+        "segmentation": jnp.mean(optax.softmax_cross_entropy_with_integer_labels(answers.classes, classes)),
+        "presence": jnp.mean(optax.sigmoid_binary_cross_entropy(answers.presence, present)),
+        "depth": jnp.sum(jnp.where(depth > 0, error, 0)) / jnp.maximum(jnp.sum(depth > 0), 1),
+    }
+
+
+@dataclasses.dataclass(frozen=True)
+class EncoderTraining(Supervised):
+    """Training of the default encoder on images.
+
+    Attributes:
+      architecture: architecture of the encoder.
+      steps: number of optimizer steps.
+      batch_size: images per step.
+      seed: seed of weights and batches.
+    """
+
+    architecture: EncoderArchitecture
+    steps: int
+    batch_size: int = 64
+    seed: int = 0
+
+    def first_state(self) -> TrainingState:
+        """The state before the first step."""
+        weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
+        return state_of(weights, self.optimizer())
+
+    def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
+        """Adam, with a cosine decay of the learning rate to zero."""
+        return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
+
+    def draw(self, data: CameraView, step: Int[Array, ""], hyperparameters: None) -> CameraView:
+        """Random images."""
+        key = jax.random.fold_in(jax.random.key(self.seed + 1), step)
+        chosen = jax.random.randint(key, (self.batch_size,), 0, len(data.image))
+        return jax.tree.map(lambda leaf: leaf[chosen], data)
+
+    def losses(self, weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
+        """See `task_losses`."""
+        network = with_weights(SmallEncoder, self.architecture, weights)
+        return task_losses(network.answer(network.encode(views.image)), views)
+
+    def gradient(self, state: TrainingState, batch: CameraView, hyperparameters: None) -> tuple[Float[Array, ""], Any]:
+        """The sum of the losses, and its gradient."""
+        return jax.value_and_grad(lambda weights: sum(self.losses(weights, batch).values(), jnp.float32(0)))(
+            state.weights
+        )
+
+
+def encoder_task(
+    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], object]
+) -> Task[TrainingState]:
+    """The task of training the default encoder. The result is reproducible by seed to the bit.
+
+    Args:
+      training: the training.
+      views: all images.
+      save: called at each validation with the encoder and its losses on the first images.
+    """
+    losses = jit(training.losses)
+
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, float]]:
+        weights = first_copy(state.weights)
+        found = {name: float(loss) for name, loss in losses(weights, validation_views).items()}
+        save(TrainedEncoder(weights=weights, architecture=training.architecture), found)
+        return [{"step": step, **found}]
+
+    validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
+    mesh = mesh_for_batch(training.batch_size)
+    views, place = replicate(views, mesh), functools.partial(placed, mesh=mesh)
+    step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
+    return Task(training.steps, step, validate, place=place, name="encoder")

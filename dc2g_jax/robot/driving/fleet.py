@@ -1,0 +1,127 @@
+"""Episodes of robots in the whole loop: many at once over all devices, or one frame by frame for figures."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Float, Int, UInt8
+
+from dc2g_jax.robot.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
+from dc2g_jax.robot.driving.robot import is_driving, run_all
+from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
+from dc2g_jax.robot.mapping.camera import Frame
+from dc2g_jax.robot.mapping.scene import scene_from_terrain
+from dc2g_jax.robot.mapping.simulator import picture
+from dc2g_jax.rollouts import Episodes
+from dc2g_jax.runtime import InputError, jit
+
+#: Control periods that the first call of the device drives.
+_FIRST_PERIODS = 10
+
+
+@struct.dataclass
+class Drives:
+    """Results of the drives, in the order of the episodes.
+
+    Attributes:
+      seconds: duration of the episode.
+      status: how it ended, see `vehicles.drive`; `DRIVING` where time was up.
+      off_ground: seconds for which the footprint touched ground where it should not be.
+      touched: seconds for which it touched a pedestrian.
+    """
+
+    seconds: Float[np.ndarray, "episodes"]
+    status: Int[np.ndarray, "episodes"]
+    off_ground: Float[np.ndarray, "episodes"]
+    touched: Float[np.ndarray, "episodes"]
+
+
+def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
+    """Houses of one size in three dimensions, stacked along the first axis.
+
+    Args:
+      terrains: class index of every cell, house after house.
+
+    Raises:
+      InputError: there is no house, or two differ in size.
+    """
+    shapes = sorted({terrain.shape for terrain in terrains})
+    if len(shapes) != 1:
+        found = " and ".join(f"{width} x {height}" for height, width in shapes[:2])
+        raise InputError(f"houses of {found or 'no'} cells: give one at least, all of one size")
+    sites = [Site(terrain=jnp.asarray(terrain), scene=scene_from_terrain(terrain)) for terrain in terrains]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites)
+
+
+def drive_all(
+    equipment: Equipment,
+    sites: Site,
+    episodes: Episodes,
+    *,
+    seed: int = 0,
+    pedestrians: int = 0,
+    knows_map: bool = False,
+    time_limit: float = 500.0,
+    on_progress: Callable[[int], None] | None = None,
+) -> Drives:
+    """Drive every episode to its end: a front door, nothing left to explore, or the time limit.
+
+    Args:
+      equipment: components of the robots.
+      sites: houses, stacked along the first axis.
+      episodes: index of the house and first pose of each episode, at least one.
+      seed: seed of noise and pedestrians.
+      pedestrians: number of pedestrians in each episode.
+      knows_map: whether the robots know the map beforehand.
+      time_limit: seconds after which an episode ends without success.
+      on_progress: called now and then with the number of episodes that have ended.
+    """
+    own = episodes.start, np.full(len(episodes), knows_map)
+    status, *periods = run_all(
+        reset, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
+        own, episodes.world, sites, equipment, seed=seed, number=pedestrians,
+        limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS, on_progress=on_progress,
+    )  # fmt: skip
+    seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
+    return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
+
+
+class Moment(NamedTuple):
+    """A camera frame, and the robot after the control periods that follow it; arrays on the host.
+
+    Attributes:
+      seconds: time since the start.
+      picture: color image of the camera, without people.
+      frame: depth and classes that the robot gets.
+      robot: the robot afterwards.
+      believed: the vehicle at its estimated pose then.
+      cost_to_go: the planner's estimate for each cell, in the estimator's unit; `None` without estimator.
+    """
+
+    seconds: float
+    picture: UInt8[np.ndarray, "height width 3"]
+    frame: Frame
+    robot: Robot
+    believed: VehicleState
+    cost_to_go: Float[np.ndarray, "h w"] | None
+
+
+@jit
+def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, VehicleState, Frame, Array]:
+    """The robot at the next frame, its estimated pose there, the frame before, and its picture."""
+    frame, _ = sensed(robot, site, equipment)
+    seen = picture(site.scene, equipment.camera, outdoor_camera(robot.vehicle))
+    after = jax.lax.fori_loop(0, equipment.frame_periods, lambda _, now: step(now, site, equipment), robot)
+    return after, believed(after), frame, seen
+
+
+def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:
+    """Drive an episode to its end, frame by frame, for `time_limit` seconds at most."""
+    while is_driving(robot, time_limit / CONTROL_PERIOD):
+        seconds = float(robot.periods) * CONTROL_PERIOD
+        robot, place, frame, seen = _next(robot, site, equipment)
+        cost_to_go = getattr(robot.planner_state, "cost_to_go", None)
+        yield Moment(seconds, *jax.device_get((seen, frame, robot, place, cost_to_go)))

@@ -1,0 +1,105 @@
+"""Map a recorded sequence of depth images: `dc2g map recording --sequence FOLDER`."""
+
+import dataclasses
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from dc2g_jax.commands import (
+    DatasetOptions,
+    ImageSizeOption,
+    OutOptions,
+    StartOption,
+    output_folder,
+    print_files,
+    start_in,
+)
+from dc2g_jax.datasets import open_dataset
+from dc2g_jax.estimation import world_cost_to_go
+from dc2g_jax.grid import UNKNOWN, World, make_pose
+from dc2g_jax.inspection import plot_map
+from dc2g_jax.robot.mapping import sequences
+from dc2g_jax.robot.mapping.camera import intrinsics
+from dc2g_jax.robot.mapping.scene import CELL_SIZE
+from dc2g_jax.robot.mapping.semantic_map import MapSettings
+from dc2g_jax.robot.mapping.simulated_drives import path_to_goal, simulated_shots
+from dc2g_jax.robot.mapping.simulator import FIELD_OF_VIEW
+from dc2g_jax.robot.recording import record_mapping
+from dc2g_jax.runtime import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DatasetOptions, OutOptions):
+    """Map a recorded sequence of depth and class images: writes the map, a figure and a rerun recording.
+
+    Attributes:
+      sequence: folder of the sequence, in the layout of the TUM RGB-D benchmark, with class images (classes.txt) and
+        intrinsics (camera.txt); see `mapping.sequences`.
+      simulate: simulate the sequence instead, with a camera that drives along the shortest path in this house of the
+        dataset.
+      start: start of the simulated drive: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up);
+        sampled by default.
+      seed: seed of the sampled start.
+      image_size: width and height of the simulated images, pixels.
+      cell_size: side length of the map's cells, meters.
+      reach: longest depth that is used, meters.
+      ground: height of the ground in the frame of the sequence, meters.
+    """
+
+    sequence: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    simulate: Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")] = None
+    start: StartOption = None
+    seed: int = 0
+    image_size: ImageSizeOption = (160, 120)
+    cell_size: float = CELL_SIZE
+    reach: float = 10.0
+    ground: float = 0.0
+
+
+def main(options: Options) -> None:
+    """Simulate or read the sequence, map it, draw and write the map."""
+    if (options.sequence is None) == (options.simulate is None):
+        raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
+    for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{option} {value:g}: give meters, above 0")
+    if not math.isfinite(options.ground):
+        raise InputError(f"--ground {options.ground:g}: give meters")
+    if min(options.image_size) < 1:
+        raise InputError(f"--image-size {options.image_size[0]} {options.image_size[1]}: give pixels, at least 1")
+    house = None
+    if options.sequence is not None:
+        folder = options.sequence
+        sequence = sequences.moved(sequences.read_sequence(folder), np.array([0, 0, -options.ground]))
+        sequence, settings = sequences.covered(sequence, options.cell_size, options.reach)
+        out = output_folder(options, "map_recording")
+    elif options.simulate is not None:
+        house = open_dataset(options.dataset).house(options.simulate)
+        start = start_in(house.name, house, options.start, options.seed)
+        out = output_folder(options, "map_recording")
+        folder = out / "sequence"
+        camera = intrinsics(FIELD_OF_VIEW, options.image_size[1], options.image_size[0])
+        path = path_to_goal(house.terrain, make_pose(start.x, start.y, start.heading))
+        path_shown = tqdm(path, desc="driving", unit="frame", file=sys.stderr)
+        shots = simulated_shots(house.terrain, path_shown, camera, options.cell_size)
+        sequences.write_sequence(folder, camera, shots)
+        sequence = sequences.read_sequence(folder)
+        rows, columns = house.terrain.shape
+        settings = MapSettings(rows=rows, columns=columns, cell_size=options.cell_size, reach=options.reach)
+    name = folder.name if house is None else house.name
+    terrain, wrong = record_mapping(out / "recording.rrd", sequence, settings, name)
+    np.save(out / "map.npy", terrain)
+    title = f"{name}: {len(sequence.moments) - wrong} frames, {settings.columns} x {settings.rows} cells"
+    plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(World.from_terrain(terrain))))
+    known = terrain != UNKNOWN
+    print(f"{title}; {np.sum(known):,} cells known")
+    if sequence.skipped or wrong:
+        print(f"depth images without class image or pose: {sequence.skipped}; frames that were left out: {wrong}")
+    if house is not None and np.any(known):
+        print(f"of the known cells, {100 * np.mean((terrain == house.terrain)[known]):.1f} % are as in the house")
+    print_files(out)

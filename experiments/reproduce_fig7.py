@@ -1,0 +1,213 @@
+"""The paper's headline figure: extra steps beyond an oracle, by planner and neighborhood.
+
+`python -m experiments.reproduce_fig7` runs the 400 published episodes, and sampled starts in every test house.
+"""
+
+import collections
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from tqdm import tqdm
+
+from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_line, digests, network_for
+from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax._src.cli.outputs import output_folder, print_files
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.figures.episode_figures import plot_episode
+from dc2g_jax._src.figures.replay import replay_result
+from dc2g_jax._src.figures.results_figures import Table, plot_extra_steps, plot_house_strips
+from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.files.tables import write_table
+from dc2g_jax._src.planning.named import FIGURE_PLANNERS
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
+from dc2g_jax._src.viewer.recording import record_frames
+from experiments.support.published import PUBLISHED_GROUPS, with_authors
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, ResumeOptions):
+    """Reproduce Fig. 7: extra steps, in percent of an oracle's, that each planner needs to find a front door.
+
+    Attributes:
+      settings: `published` runs the paper's 400 episodes (5-cell sensing; published dataset only), `paper` runs
+        sampled starts in every test house with 8-cell sensing, `both` runs both.
+      planner: planners to compare; package.module:Name for one of your own, which dc2g_jax.check_planner should have
+        passed.
+      starts_per_house: sampled starts in each test house.
+      seed: seed of the sampled starts.
+      record: write rerun recordings (.rrd) and figures of three episodes of each setting.
+    """
+
+    settings: Literal["both", "published", "paper"] = "both"
+    planner: PlannersOption = FIGURE_PLANNERS
+    starts_per_house: int = 10
+    seed: int = 0
+    record: bool = False
+
+
+#: Number of episodes of each setting that `--record` records, spread evenly.
+_RECORDED = 3
+
+#: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
+_PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
+
+#: Number of summary columns for a single house, which has no interval over houses.
+_OF_A_HOUSE = Summary._fields.index("mean_low")
+
+
+def drawn(planners: Sequence[str]) -> list[str]:
+    """Planners in figures of single houses: DC2G, frontier exploration and the user's own; all if none of these ran."""
+    ran = [planner for planner in planners if planner != "oracle"]
+    return [planner for planner in ran if planner in ("dc2g", "frontier") or planner not in FIGURE_PLANNERS] or ran
+
+
+def record(
+    out: Path,
+    dataset: HouseDataset,
+    settings: str,
+    results: list[EpisodeResult],
+    network: Estimator | None,
+    count: int,
+) -> None:
+    """Write rerun recordings and figures of `count` episodes, spread evenly."""
+    rules = SETTINGS[settings].rules()
+    planners = list(dict.fromkeys(result.planner for result in results))
+    n_starts = len(results) // len(planners)
+    chosen = sorted(set(np.linspace(0, n_starts - 1, min(count, n_starts)).round().astype(int).tolist()))
+    for number in tqdm(chosen, desc=f"{'recordings':>16}", unit="episode", file=sys.stderr):
+        by_planner = {result.planner: result for result in results[number::n_starts] if result.planner != "oracle"}
+        start = results[number]
+        name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}"
+        house = dataset.house(start.house)
+        frames = {planner: replay_result(result, house, rules, network) for planner, result in by_planner.items()}
+        path = out / "recordings" / f"{name}.rrd"
+        record_frames(path, house=house, result_by_planner=by_planner, frames_by_planner=frames)
+        shown = {planner: frames[planner] for planner in sorted(drawn(planners))}
+        plot_episode(out / "recordings" / name, house, shown)
+
+
+def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
+    """Print mean and median extra steps by planner and group."""
+    present = [group for group in groups if any(group in row for row in table.values())]
+    print(f"\n{title}\nmean extra steps beyond the oracle, % (median)")
+    width = max(18, *(len(planner) + 1 for planner in table))
+    print(f"{'':{width}}" + "".join(f"{group:>20}" for group in present) + f"{'success':>10}")
+    for planner, row in table.items():
+        if planner == "oracle":
+            continue
+        cells = "".join(f"{row[g].mean_extra:>11.1f} ({row[g].median_extra:>6.1f})" for g in present)
+        print(f"{planner:{width}}{cells}{100 * row[groups[-1]].success:>9.1f}%")
+
+
+def _write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[ExtraSteps]]) -> None:
+    """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
+    groups = [
+        (settings, planner, group, *(round(value, 4) for value in summary))
+        for settings, table in tables.items()
+        for planner, row in table.items()
+        for group, summary in row.items()
+    ]
+    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), groups)
+    houses = []
+    for settings, episodes in entries.items():
+        by_house: dict[tuple[str, str, str], list[ExtraSteps]] = collections.defaultdict(list)
+        for episode in episodes:
+            by_house[episode.planner, episode.house, episode.group].append(episode)
+        for key, own in by_house.items():
+            summary = summarize([episode.extra for episode in own], [episode.success for episode in own])
+            houses.append((settings, *key, *(round(value, 4) for value in summary[:_OF_A_HOUSE])))
+    columns = ("settings", "planner", "house", "group", *Summary._fields[:_OF_A_HOUSE])
+    write_table(out / "houses.csv", columns, houses)
+
+
+def _as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
+    """The columns of a table that `results.json` holds."""
+    keys = ("mean_extra", "mean_low", "mean_high", "median_extra", "success", "episodes")
+    return {
+        planner: {group: {key: getattr(summary, key) for key in keys} for group, summary in row.items()}
+        for planner, row in table.items()
+    }
+
+
+def main(options: Options) -> None:
+    """Run the episodes; print, write and plot their tables."""
+    began = time.perf_counter()
+    check_planners(options.planner)
+    if options.planner == ("oracle",):
+        raise InputError("--planner oracle: give a planner to compare with the oracle")
+    dataset = open_dataset(options.dataset)
+    if options.settings == "published" and dataset.source != "published":
+        raise InputError(
+            f"{dataset.name}: the 400 published episodes need the published houses; give --dataset with a copy of "
+            "them, or --settings paper for sampled starts"
+        )
+    network = network_for(options.planner, options.network)
+    starts: list[Start] = []
+    if options.settings != "published":  # the same number in every house that can be run: houses weigh equally
+        starts = sample_starts(usable_houses(dataset, "test"), options.starts_per_house, seed=options.seed)
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
+    out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
+    table = EpisodeTable(out / "episodes.csv")
+    label = "procedural houses" if dataset.name == PROCEDURAL else dataset.name
+    tables: dict[str, Table] = {}
+    entries: dict[str, list[ExtraSteps]] = {}
+    results: dict[str, list[EpisodeResult]] = {}
+    if options.settings != "paper" and dataset.source == "published":
+        results["published"] = table.published(dataset, options.planner, network)
+        entries["published"] = with_authors(results["published"])
+        tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
+        print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
+    elif options.settings != "paper":
+        tell_on_stderr(f"Left out: the 400 published episodes, which need the published houses, not {dataset.name}")
+    if options.settings != "published":
+        for house in dataset.split("test"):
+            if reason := why_no_episode(house):
+                tell_on_stderr(f"Left out: house {house.name}: {reason}")
+        results["paper"] = table.run(runner, starts, options.planner, network)
+        entries["paper"] = [
+            ExtraSteps(one.planner, group_of(dataset.house(one.house)) or "test", one.house, one.extra, one.success)
+            for one in results["paper"]
+        ]
+        tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS)
+        houses = len({episode.house for episode in entries["paper"]})
+        print_table(
+            f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})",
+            tables["paper"],
+            _PAPER_GROUPS,
+        )
+    _write_tables(out, tables, entries)
+    whose = "" if options.network is None else f" Network: {options.network}."
+    plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
+    for settings, part in results.items():
+        compared = [result for result in part if result.planner in drawn(options.planner)]
+        groups = {episode.house: episode.group for episode in entries[settings]}
+        plot_house_strips(out / f"houses_{settings}", compared, groups, settings)
+        if options.record:
+            record(out, dataset, settings, part, network, _RECORDED)
+    facts = {
+        "dataset": dataset.name,
+        "source": dataset.source,
+        "seed": options.seed,
+        "seconds": round(time.perf_counter() - began, 1),
+        "published": _as_json(tables.get("published", {})),
+        "paper": _as_json(tables.get("paper", {})),
+    }
+    write_json(out / "results.json", facts)
+    print(f"\nIn {facts['seconds']} s:")
+    print_files(out)
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,152 @@
+"""Robots that drive with a camera: their equipment, and drives from many starts."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dc2g_jax._src.cli.common import ImageSizeOption
+from dc2g_jax._src.cli.outputs import CommandOptions
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.grid.label_noise import scaled
+from dc2g_jax._src.grid.sensing import line_of_sight
+from dc2g_jax._src.planning.named import planner_with
+from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.planning.selection import ENDLESS
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.rollouts.evaluation import episodes_from
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax.robot.driving.drive import ARRIVED, STATUS_NAMES, Equipment, StatusName
+from dc2g_jax.robot.driving.fleet import drive_all, sites_of
+from dc2g_jax.robot.driving.vehicle import VehicleLimits
+from dc2g_jax.robot.mapping.camera import intrinsics
+from dc2g_jax.robot.mapping.noise import PAPER_LIKE
+from dc2g_jax.robot.mapping.scene import CELL_SIZE
+from dc2g_jax.robot.mapping.semantic_map import MapSettings
+
+#: Sensing range that the planner assumes, in cells, and field of view of the camera.
+_SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
+
+#: Seconds after which an episode ends without success: one per gridworld step of the published maps' step limit.
+SECONDS_LIMIT = 500.0
+
+
+@dataclasses.dataclass(frozen=True)
+class DrivingOptions(CommandOptions):
+    """Robots that drive with a camera.
+
+    Attributes:
+      pedestrians: number of pedestrians on the sidewalks around each robot.
+      image_size: width and height of the camera's images, pixels.
+    """
+
+    pedestrians: int = 0
+    image_size: ImageSizeOption = (160, 120)
+
+    def __post_init__(self) -> None:
+        if self.pedestrians < 0:
+            raise InputError(f"--pedestrians {self.pedestrians}: give 0 or more")
+        if min(self.image_size) < 8:
+            raise InputError(f"--image-size {self.image_size[0]} {self.image_size[1]}: give at least 8 by 8 pixels")
+
+
+def equipment(
+    planner: str, estimator: Estimator | None, size: tuple[int, int], noise: float, options: DrivingOptions
+) -> Equipment:
+    """A robot's planner, camera and vehicle.
+
+    Args:
+      planner: name of the planner.
+      estimator: estimator of the planner, if it uses one.
+      size: rows and columns of the map.
+      noise: noise level; 0 is no noise, 1 the presumed noise of the paper's maps.
+      options: options of the command.
+    """
+    rules = complete_rules(_SENSING_RANGE, line_of_sight)
+    width, height = options.image_size
+    return Equipment(
+        # The planner decides every second, even if the robot has not moved, so decisions do not measure dwell times.
+        planner=planner_with(planner, rules, estimator, patience=ENDLESS),
+        sensing=rules.sensing,
+        camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
+        mapping=MapSettings(*size, cell_size=CELL_SIZE),
+        noise=scaled(PAPER_LIKE, np.float32(noise)),
+        limits=VehicleLimits(),
+    )
+
+
+class DriveResult(NamedTuple):
+    """One drive.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      seconds: duration.
+      status: outcome, see `vehicles.drive`; `under way` at the time limit.
+      off_ground: seconds in which the footprint touched forbidden ground.
+      touched: seconds in which it touched a pedestrian.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    seconds: float
+    status: StatusName
+    off_ground: float
+    touched: float
+
+
+def drive(
+    name: str, houses: Sequence[House], starts: Sequence[Start], robot: Equipment, seed: int, options: DrivingOptions,
+    *, knows_map: bool = False,
+) -> list[DriveResult]:  # fmt: skip
+    """Drive from every start.
+
+    Args:
+      name: title of the progress bar.
+      houses: houses of the starts; all of one size.
+      starts: first poses.
+      robot: equipment of the robots.
+      seed: seed of noise and pedestrians.
+      options: options of the command.
+      knows_map: whether the robots know the map in advance.
+    """
+    episodes = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
+    sites = sites_of([house.terrain for house in houses])
+    progress = EpisodeProgress()
+    drives = drive_all(
+        robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
+        time_limit=SECONDS_LIMIT, on_progress=lambda ended: progress(name, ended, len(starts)),
+    )  # fmt: skip
+    times = np.round([drives.seconds, drives.off_ground, drives.touched], 2).T.tolist()
+    return [
+        DriveResult(*start[:4], seconds, STATUS_NAMES[status], off_ground, touched)
+        for start, status, (seconds, off_ground, touched) in zip(starts, drives.status, times, strict=True)
+    ]
+
+
+def summarize_drives(drives: Sequence[DriveResult], oracle: Sequence[DriveResult]) -> dict[str, float]:
+    """Statistics of a run.
+
+    Args:
+      drives: drives of the run.
+      oracle: drives from the same starts with a known map.
+    """
+    extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
+    mean, low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
+    return {
+        "extra": mean,
+        "extra_low": low,
+        "extra_high": high,
+        "median_extra": float(np.median(extra)),
+        "success": float(np.mean([one.status == STATUS_NAMES[ARRIVED] for one in drives])),
+        "seconds_off_ground": float(np.mean([one.off_ground for one in drives])),
+        "seconds_touching_people": float(np.mean([one.touched for one in drives])),
+    }

@@ -1,0 +1,133 @@
+"""Mid-level features: pictures of houses, and the encoder trained on them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, write_network
+from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.training.loop import Pauses, fit
+from dc2g_jax._src.training.step import learn
+from dc2g_jax.indoor.houses.plans import world_from_plan
+from dc2g_jax.indoor.houses.worlds import painted, scene
+from dc2g_jax.indoor.learning import training
+from dc2g_jax.indoor.learning.midlevel import (
+    ENCODER,
+    Answers,
+    EncoderArchitecture,
+    TrainedEncoder,
+    load_encoder,
+)
+from dc2g_jax.indoor.learning.networks import load_costs
+from dc2g_jax.indoor.learning.training import EncoderTraining, encoder_task, task_losses
+from dc2g_jax.indoor.maps.camera import VIEW_SIZE, CameraView, view
+from dc2g_jax.indoor.maps.classes import BED, OBJECT_COLORS
+from dc2g_jax.robot.mapping.camera import level_camera
+from tests.support.refusals import refusal
+from tests.support.two_rooms import BED_BOX, plan
+
+ARCHITECTURE = EncoderArchitecture(widths=(4, 6, 8), features=5)
+
+
+@pytest.fixture(scope="module")
+def views() -> CameraView:
+    """From the middle of a room: toward the bed, and away from it. Pictures of one house."""
+    world = world_from_plan(plan(BED_BOX), 0.1)
+    house, paint = scene(world), jnp.asarray(painted(world, np.random.default_rng(0)))
+    headings = jnp.asarray([np.pi / 2, -np.pi / 2], jnp.float32)
+    # The plan's corner is the margin of a quarter of a meter away from the world's.
+    return jax.jit(
+        lambda headings: jax.lax.map(lambda yaw: view(house, paint, level_camera(1.25, -2.75, 0.9, yaw, 0.3)), headings)
+    )(headings)
+
+
+def test_a_picture_shows_what_stands_there(views):
+    assert views.image.shape == (2, *VIEW_SIZE, 3)
+    bed = np.asarray(views.classes[0] == BED)
+    assert bed.mean() > 0.1
+    assert not np.asarray(views.classes[1]).any()
+    color = np.asarray(views.image)[0][bed].mean(axis=0)
+    assert np.abs(color - OBJECT_COLORS[BED]).max() < 60
+    # The camera is half a meter away from the wall behind it, and the bed's near side 0.7 m ahead.
+    assert 0.65 < float(views.depth[0][bed].min()) < 0.75
+    assert float(views.depth[1, VIEW_SIZE[0] // 2, VIEW_SIZE[1] // 2]) < 1.0
+
+
+def test_losses_of_the_three_tasks():
+    rng = np.random.default_rng(0)
+    classes = rng.integers(0, 17, (1, *VIEW_SIZE)).astype(np.uint8)
+    classes[classes == 3] = 0
+    depth = rng.uniform(0.5, 12, (1, *VIEW_SIZE)).astype(np.float32)
+    depth[0, :20] = 0
+    logits, presence = rng.normal(size=(1, 12, 16, 17)), rng.normal(size=(1, 17))
+    answered = rng.uniform(0, 1, (1, 12, 16))
+    expected = {"segmentation": 0.0, "presence": 0.0, "depth": []}
+    for row in range(12):
+        for column in range(16):
+            pixel = 0, 4 * row + 2, 4 * column + 2
+            here = logits[0, row, column]
+            expected["segmentation"] += (np.log(np.exp(here).sum()) - here[classes[pixel]]) / (12 * 16)
+            if depth[pixel] > 0:
+                expected["depth"].append(abs(answered[0, row, column] - min(depth[pixel], 10) / 10))
+    for index in range(17):
+        there = np.sum(classes == index) >= 12
+        expected["presence"] += np.log1p(np.exp(-presence[0, index] if there else presence[0, index])) / 17
+    expected["depth"] = np.mean(expected["depth"])
+    views = CameraView(jnp.zeros((1, *VIEW_SIZE, 3), jnp.uint8), jnp.asarray(depth), jnp.asarray(classes))
+    answers = Answers(*(jnp.asarray(part, jnp.float32) for part in (logits, presence, answered)))
+    losses = jax.jit(task_losses)(answers, views)
+    for name, value in expected.items():
+        assert float(losses[name]) == pytest.approx(value, rel=1e-5), name
+
+
+def train_encoder(views, folder) -> tuple[TrainedEncoder, list]:
+    """The encoder after 40 steps, and its losses after every 4."""
+    saved = []
+    config = EncoderTraining(ARCHITECTURE, steps=40, batch_size=4)
+    task = encoder_task(config, views, lambda *found: saved.append(found))
+    checkpoints = TrainingCheckpoints(folder, config, first_state=EncoderTraining.first_state)
+    state = fit(task, folder, checkpoints, Pauses(4, np.inf))
+    return TrainedEncoder(state.weights, ARCHITECTURE), [losses for _, losses in saved]
+
+
+@pytest.fixture(scope="module")
+def trained(views, tmp_path_factory) -> tuple[TrainedEncoder, list]:
+    return train_encoder(views, tmp_path_factory.mktemp("encoder"))
+
+
+def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path):
+    encoder, losses = trained
+    assert len(losses) == 10
+    assert sum(losses[-1].values()) < 0.5 * sum(losses[0].values())
+    again, _ = train_encoder(views, tmp_path)
+    jax.tree.map(np.testing.assert_array_equal, again.weights, encoder.weights)
+
+
+def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, monkeypatch):
+    """Each number of devices compiles the step once. 40 steps move half of the weights by 1e-2 or more."""
+    jax.clear_caches()  # one of the two may have been compiled for other tests
+    found, before = [], learn.compiled_count()
+    for count in (1, 2):
+        mesh = mesh_of(jax.devices()[:count])
+        monkeypatch.setattr(training, "mesh_for_batch", lambda size, mesh=mesh: mesh)
+        found.append(train_encoder(views, tmp_path / str(count)))
+        (leaf, *_) = jax.tree.leaves(found[-1][0].weights)
+        assert leaf.sharding.device_set == set(mesh.devices.flat)
+    assert learn.compiled_count() == before + 2
+    (one, losses), (two, others) = found
+    for name, loss in losses[-1].items():
+        assert others[-1][name] == pytest.approx(loss, rel=1e-5)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5), one.weights, two.weights)
+
+
+def test_the_encoder_comes_back_from_its_file(views, trained, tmp_path):
+    encoder = trained[0]
+    write_network(tmp_path, encoder.weights, encoder.architecture, ENCODER)
+    loaded = load_encoder(tmp_path)
+    assert loaded.architecture == ARCHITECTURE
+    features = encoder.encode(views.image)
+    assert features.shape == (2, 5)
+    assert not np.allclose(features[0], features[1], atol=1e-2)
+    np.testing.assert_allclose(loaded.encode(views.image), features, atol=1e-2)
+    refusal(lambda: load_costs(tmp_path), tmp_path / CARD, "'encoder'", "cost_maps", "dc2g train-indoor")
