@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import dc2g_jax._src.grid.world
+import dc2g_jax.grid
 import dc2g_jax.indoor.maps.classes
 import dc2g_jax.indoor.maps.mapping
 import dc2g_jax.robot.mapping.semantic_map
@@ -35,7 +36,9 @@ def with_classes(number: int, monkeypatch) -> ModuleType:
     """The terrain classes and more, so many in all."""
     numbers = range(len(terrain.CLASS_NAMES), number)
     more = "".join(f'    "class {index}": ((1, 2, {index}), "#000000"),\n' for index in numbers)
-    return loaded(terrain, monkeypatch, ("}\n\n#: Class index -> name", more + "}\n\n#: Class index -> name"))
+    classes = loaded(terrain, monkeypatch, ("}\n\n#: Class index -> name", more + "}\n\n#: Class index -> name"))
+    loaded(dc2g_jax.grid, monkeypatch)  # clients import them from here
+    return classes
 
 
 @pytest.mark.parametrize("number", [17, 33, 254])
