@@ -7,7 +7,9 @@ from dc2g_jax._src.procedural.drawing import (
     Placement as Placement,
     Points as Points,
     Polygons as Polygons,
+    Range as Range,
     Sketch as Sketch,
+    first_usable as first_usable,
     rectangle as rectangle,
     resample as resample,
     ribbon as ribbon,
@@ -15,7 +17,6 @@ from dc2g_jax._src.procedural.drawing import (
     uniform as uniform,
 )
 from dc2g_jax._src.procedural.lots import door_outline as door_outline, tapered as tapered, walkway as walkway
-from dc2g_jax._src.procedural.plain import plain_maps as plain_maps, with_door as with_door
 from dc2g_jax._src.readers.houses import (
     PROCEDURAL as PROCEDURAL,
     House as House,

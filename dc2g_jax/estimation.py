@@ -27,6 +27,8 @@ from dc2g_jax._src.estimation.hub import load_network as load_network, local_fol
 from dc2g_jax._src.estimation.weights import (
     fresh_weights as fresh_weights,
     read_safetensors as read_safetensors,
+    read_weights as read_weights,
+    shapes_of_weights as shapes_of_weights,
     with_weights as with_weights,
     write_safetensors as write_safetensors,
 )

@@ -1,6 +1,7 @@
 """The gridworld: classes of terrain, poses, sets of cells, search and sensing, as pure functions of arrays."""
 
 from dc2g_jax._src.grid import bitboard as bitboard, gridworld as gridworld, poses as poses, search as search
+from dc2g_jax._src.grid.bitboard import Board as Board
 from dc2g_jax._src.grid.fast_marching import geodesic_distance as geodesic_distance, travel_cost as travel_cost
 from dc2g_jax._src.grid.gridworld import (
     Belief as Belief,
@@ -21,11 +22,14 @@ from dc2g_jax._src.grid.poses import (
     FORWARD as FORWARD,
     FORWARD_ACTION as FORWARD_ACTION,
     HEADINGS as HEADINGS,
+    LEFT_ACTION as LEFT_ACTION,
+    RIGHT_ACTION as RIGHT_ACTION,
     Pose as Pose,
     PoseSet as PoseSet,
     every_heading as every_heading,
     make_pose as make_pose,
     moved as moved,
+    only as only,
 )
 from dc2g_jax._src.grid.sampling import (
     ClassImage as ClassImage,
@@ -40,20 +44,24 @@ from dc2g_jax._src.grid.sensing import (
 )
 from dc2g_jax._src.grid.shifting import shifted as shifted
 from dc2g_jax._src.grid.terrain import (
+    BUSH as BUSH,
     CAR as CAR,
     CLASS_BITS as CLASS_BITS,
     CLASS_NAMES as CLASS_NAMES,
     DRIVEWAY as DRIVEWAY,
+    FENCE as FENCE,
     FIGURE_COLORS as FIGURE_COLORS,
     FREE as FREE,
     FRONT_DOOR as FRONT_DOOR,
     GRASS as GRASS,
     HOUSE as HOUSE,
     NOTHING as NOTHING,
+    OCCUPIED as OCCUPIED,
     PATH as PATH,
     ROAD as ROAD,
     SIDEWALK as SIDEWALK,
     TRAVERSABLE as TRAVERSABLE,
+    TREE as TREE,
     UNKNOWN as UNKNOWN,
 )
 from dc2g_jax._src.grid.world import World as World

@@ -2,12 +2,23 @@
 
 from dc2g_jax._src.planning import frontiers as frontiers
 from dc2g_jax._src.planning.bounded import Bounded as Bounded
+from dc2g_jax._src.planning.choosing import (
+    ChoosingPlanner as ChoosingPlanner,
+    Chosen as Chosen,
+    Moment as Moment,
+    PoseValues as PoseValues,
+    at_cells as at_cells,
+    exploring_poses as exploring_poses,
+    predicted as predicted,
+    unknown_share as unknown_share,
+)
 from dc2g_jax._src.planning.decisions import (
     Decision as Decision,
     RobotPose as RobotPose,
     View as View,
     decide as decide,
 )
+from dc2g_jax._src.planning.frontiers import unseen as unseen
 from dc2g_jax._src.planning.metric import MetricDecision as MetricDecision, MetricPlanner as MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap as MetricMap, MetricPose as MetricPose
 from dc2g_jax._src.planning.named import (
@@ -23,20 +34,16 @@ from dc2g_jax._src.planning.planners import (
     GAVE_UP as GAVE_UP,
     MODE_NAMES as MODE_NAMES,
     TO_GOAL as TO_GOAL,
+    AssessingPlanner as AssessingPlanner,
+    Assessment as Assessment,
     Frontier as Frontier,
     MapRevisingPlanner as MapRevisingPlanner,
     Oracle as Oracle,
     Plan as Plan,
     Planner as Planner,
     assess as assess,
+    explore_or_finish as explore_or_finish,
     reachable_cells as reachable_cells,
-)
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner as ChoosingPlanner
-from dc2g_jax._src.planning.rivals.recurrent_policy import (
-    RecurrentNetwork as RecurrentNetwork,
-    RecurrentPolicy as RecurrentPolicy,
-    Surroundings as Surroundings,
-    read_policy as read_policy,
 )
 from dc2g_jax._src.planning.rules import (
     SETTINGS as SETTINGS,

@@ -27,7 +27,6 @@ from dc2g_jax import InputError
 from dc2g_jax.datasets import (
     House,
     open_dataset,
-    plain_maps,
     procedural_training_houses,
     sample_starts,
     stack_worlds,
@@ -35,18 +34,17 @@ from dc2g_jax.datasets import (
 )
 from dc2g_jax.environments import FrontDoor, Params, State, front_door
 from dc2g_jax.estimation import fresh_weights, with_weights, write_safetensors
+from dc2g_jax.families import plain_maps
 from dc2g_jax.grid import sample_grid
 from dc2g_jax.inspection import save_learning_curve
 from dc2g_jax.planning import (
     GAVE_UP,
     Frontier,
     Oracle,
-    RecurrentNetwork,
-    RecurrentPolicy,
     Rules,
-    Surroundings,
     complete_rules,
 )
+from dc2g_jax.rivals import RecurrentNetwork, RecurrentPolicy, Surroundings
 from dc2g_jax.rollouts import episodes_from, rollout
 
 GAE_DECAY, CLIP, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.95, 0.2, 0.5, 0.5

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.planning.rivals.recurrent_policy import read_policy
+from dc2g_jax.rivals.recurrent_policy import read_policy
 from tests.support.refusals import refusal
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

@@ -8,7 +8,7 @@ from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.streets import in_town, is_town, street_width
 from dc2g_jax._src.grid.terrain import GRASS, ROAD, UNKNOWN
-from dc2g_jax._src.readers.houses import grid_dataset, procedural_dataset
+from dc2g_jax._src.readers.houses import open_dataset, procedural_dataset
 
 SHAPES = ((34, 75), (34, 104))
 
@@ -63,5 +63,5 @@ def test_the_width_of_streets_is_that_of_the_widest(width):
 
 def test_houses_are_no_towns_and_most_drawn_towns_are():
     assert not any(is_town(house.terrain) for house in procedural_dataset().houses)
-    towns = grid_dataset("towns").split("val")
+    towns = open_dataset("towns").split("val")
     assert sum(is_town(town.terrain) for town in towns) > 0.8 * len(towns)

@@ -5,12 +5,12 @@ import pytest
 
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, TRAVERSABLE
-from dc2g_jax._src.procedural import plain
-from dc2g_jax._src.procedural.plain import PLAIN, plain_maps, with_door
 from dc2g_jax._src.readers import families
 from dc2g_jax._src.readers.families import family_of, gather
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import why_no_episode
+from dc2g_jax.families import plain
+from dc2g_jax.families.plain import PLAIN, plain_maps, with_door
 from dc2g_jax.indoor.houses import dataset as indoor
 from tests.support.hamlet import Drawing, hamlet
 from tests.support.maps import drawn

@@ -5,6 +5,7 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import EntryPoint
 from typing import Any
 
 from dc2g_jax._src.errors import InputError
@@ -15,6 +16,7 @@ from dc2g_jax._src.planning.frontiers import facing_most
 from dc2g_jax._src.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
+from dc2g_jax._src.plugins import plugins
 
 #: Patience of planners with a network in the gridworld, where every decision is a step.
 STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
@@ -61,20 +63,13 @@ def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
     return Bounded(planner, planner.rules, factor=2.0, slack=3.0)
 
 
-#: Planners after other papers, each in a file of its own, which is imported when the planner is asked for: without and
-#: with a network.
-RIVALS: tuple[str, ...] = (
-    "random_frontier", "right_hand", "hysteresis", "cost_utility", "next_best_view", "recurrent_policy",
-)  # fmt: skip
-NETWORK_RIVALS: tuple[str, ...] = (
-    "frontier_potential", "visible_uncertainty", "learned_subgoals", "sampled_goals",
-)  # fmt: skip
+#: Planners of plug-ins, called with the rules; and those with a network, called with the rules and `estimator`.
+RIVALS, NETWORK_RIVALS = plugins("planners"), plugins("network_planners")
 
 
-def _rival(name: str, rules: Rules, **estimator: Estimator) -> MapRevisingPlanner:
-    """A planner after another paper. The class `NextBestView` is in the file of `next_best_view`."""
-    rival = own_part("planner", f"dc2g_jax._src.planning.rivals.{name}:{name.title().replace('_', '')}", RIVALS)
-    return rival(rules, **estimator)
+def _rival(point: EntryPoint, rules: Rules) -> MapRevisingPlanner:
+    """A planner of a plug-in, imported when it is asked for."""
+    return point.load()(rules)
 
 
 def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> Any:
@@ -82,7 +77,7 @@ def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: P
     del patience
     if not answers_in_cells(estimator):
         raise InputError(f"the planner {name!r} needs costs in cells; give another network")
-    return _rival(name, rules, estimator=estimator)
+    return NETWORK_RIVALS[name].load()(rules, estimator=estimator)
 
 
 #: Planners without a network, called with the rules.
@@ -90,7 +85,7 @@ _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
     "oracle": lambda rules: Oracle(),
     "frontier": Frontier,
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
-    **{name: functools.partial(_rival, name) for name in RIVALS},
+    **{name: functools.partial(_rival, point) for name, point in RIVALS.items()},
 }
 
 #: Planners with a network, called with the network, the rules and, optionally, their patience.

@@ -24,8 +24,6 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.own_parts import is_own_part, own_part
 from dc2g_jax._src.plugins import plugins
 from dc2g_jax._src.procedural import procedural_houses
-from dc2g_jax._src.procedural.plain import PLAIN, plain_maps
-from dc2g_jax._src.procedural.towns import drawn_towns
 from dc2g_jax._src.readers._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax._src.readers.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
 
@@ -33,14 +31,14 @@ SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", 
 _IMAGE_FOLDER = "full_semantic"
 _PUBLISHED_NAME = "driveways_bing_iros19"
 
-#: Locations that stand for the procedural houses, and for the drawn towns.
-PROCEDURAL, TOWNS = "procedural", "towns"
+#: The location that stands for the procedural houses.
+PROCEDURAL = "procedural"
 
 #: Words for datasets of plug-ins.
 _BY_PLUGINS = plugins("datasets")
 
 #: Locations that are words instead of folders.
-NAMED = (PROCEDURAL, TOWNS, *PLAIN, *_BY_PLUGINS)
+NAMED = (PROCEDURAL, *_BY_PLUGINS)
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
 
@@ -198,14 +196,6 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | No
     return HouseDataset(name, PROCEDURAL, tuple(houses))
 
 
-@functools.lru_cache(maxsize=4)
-def grid_dataset(kind: str) -> HouseDataset:
-    """Return maps that are drawn on their own grids: the towns, or those of one of the kinds of `PLAIN`."""
-    drawn = drawn_towns() if kind == TOWNS else plain_maps(kind)
-    houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in drawn)
-    return HouseDataset(kind, PROCEDURAL, tuple(houses))
-
-
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Read a folder of maps of any size, see `readers.maps.read_map_folder`.
 
@@ -269,8 +259,6 @@ def open_dataset(
 def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
     if location == PROCEDURAL:
         return procedural_dataset(cells=cells)
-    if location in (TOWNS, *PLAIN):
-        return grid_dataset(location)
     if location in _BY_PLUGINS:
         return _BY_PLUGINS[location].load()()
     if is_own_part(location):

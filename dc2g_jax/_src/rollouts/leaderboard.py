@@ -159,7 +159,7 @@ bold: the best of the others in a family. The second column is the mean over fam
 
 Nothing of the package was chosen on the split `test`. Networks learned in published training houses and procedural
 ones of other seeds, `recurrent_policy` in procedural houses, mazes, halls and offices of other seeds. [What each
-planner does](reference/planning.md#rivals).
+planner does](reference/rivals.md).
 
 {table}
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dc2g_jax.datasets import PROCEDURAL, SPLITS, House, HouseDataset, with_door
+from dc2g_jax.datasets import PROCEDURAL, SPLITS, House, HouseDataset
+from dc2g_jax.families import with_door
 from dc2g_jax.grid import component_numbers
 from dc2g_jax.indoor.houses.furnishing import furnish
 from dc2g_jax.indoor.houses.layouts import draw_layout

@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from flax import struct
 
-from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted, unknown_share
+from dc2g_jax.estimation import Estimator
+from dc2g_jax.grid import Belief
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted, unknown_share
 
 
 @struct.dataclass

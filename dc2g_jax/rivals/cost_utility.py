@@ -2,8 +2,8 @@
 
 from flax import struct
 
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, unknown_share
+from dc2g_jax.grid import Belief
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, unknown_share
 
 
 @struct.dataclass

@@ -7,12 +7,10 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.frontiers import unseen
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
-from dc2g_jax._src.planning.rivals.regions import find_regions
+from dc2g_jax.estimation import Estimator
+from dc2g_jax.grid import Belief, bitboard
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted, unseen
+from dc2g_jax.rivals.regions import find_regions
 
 
 def sampled_cells(weights: Float[Array, "cell *batch"], count: int) -> Int[Array, "sample *batch"]:

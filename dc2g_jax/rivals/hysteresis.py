@@ -3,9 +3,8 @@
 import jax.numpy as jnp
 from flax import struct
 
-from dc2g_jax._src.grid import poses
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues
+from dc2g_jax.grid import Belief, poses
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues
 
 
 @struct.dataclass

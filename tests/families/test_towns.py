@@ -5,22 +5,22 @@ import pytest
 
 from dc2g_jax._src.grid.ground import connected_to, pieces
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, GRASS, HOUSE, ROAD, TRAVERSABLE
-from dc2g_jax._src.procedural.towns import TOWN_SIZES, draw_town
-from dc2g_jax._src.readers.houses import grid_dataset, open_dataset
+from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.map_report import unlike_training
 from dc2g_jax._src.readers.starts import sample_starts, why_no_episode
+from dc2g_jax.families.town_drawing import TOWN_SIZES, draw_town
 
 
 def test_there_are_a_hundred_towns_to_choose_on_and_a_hundred_aside():
     towns = open_dataset("towns")
-    assert towns is grid_dataset("towns")
+    assert towns is open_dataset("towns")
     assert [len(towns.split(split)) for split in ("train", "val", "test")] == [0, 100, 100]
     assert {town.terrain.shape[::-1] for town in towns.split("test")} == set(TOWN_SIZES)
     assert len({town.terrain.tobytes() for town in towns.houses}) == 200
 
 
 def test_every_door_can_be_reached_from_every_street():
-    for town in grid_dataset("towns").houses:
+    for town in open_dataset("towns").houses:
         terrain = town.terrain
         assert why_no_episode(town) is None
         assert connected_to(terrain == ROAD, TRAVERSABLE[terrain])[terrain == FRONT_DOOR].all()

@@ -9,10 +9,10 @@ import numpy as np
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.planning.choosing import Moment, exploring_poses
 from dc2g_jax._src.planning.planners import reachable_cells
-from dc2g_jax._src.planning.rivals.choosing import Moment, exploring_poses
-from dc2g_jax._src.planning.rivals.recurrent_policy import RecurrentPolicy, block_of_cells, read_policy, surroundings
 from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax.rivals.recurrent_policy import RecurrentPolicy, block_of_cells, read_policy, surroundings
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import SENSING, belief_of, random_moment
 

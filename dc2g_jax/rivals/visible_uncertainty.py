@@ -4,11 +4,9 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float
 
-from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.frontiers import unseen
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
+from dc2g_jax.estimation import Estimator
+from dc2g_jax.grid import Belief, bitboard
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted, unseen
 
 #: Bits of the whole numbers that uncertainties are rounded to, so that they can be added over fields of view.
 _BITS = 4

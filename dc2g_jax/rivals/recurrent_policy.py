@@ -9,18 +9,24 @@ import numpy as np
 from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, with_weights
-from dc2g_jax._src.files.resources import resource
-from dc2g_jax._src.grid import bitboard, poses
-from dc2g_jax._src.grid.bitboard import Board
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import Kernel
-from dc2g_jax._src.grid.terrain import CLASS_NAMES, DRIVEWAY, HOUSE, PATH
-from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.planners import Assessment
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Chosen, Moment, PoseValues, at_cells
+from dc2g_jax.estimation import read_weights, shapes_of_weights, with_weights
+from dc2g_jax.files import resource
+from dc2g_jax.grid import (
+    CLASS_NAMES,
+    DRIVEWAY,
+    FORWARD,
+    HEADINGS,
+    HOUSE,
+    PATH,
+    Belief,
+    Board,
+    Kernel,
+    Pose,
+    World,
+    bitboard,
+    poses,
+)
+from dc2g_jax.planning import Assessment, ChoosingPlanner, Chosen, Moment, PoseValues, at_cells, frontiers
 
 #: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
 #: the middle one of the next.

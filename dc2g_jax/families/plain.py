@@ -1,14 +1,14 @@
 """Maps without classes, as a laser sees them: mazes, halls and offices. Cells are free or occupied; one is the door."""
 
+import functools
 import itertools
 from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool
 
-from dc2g_jax._src.grid.ground import component_numbers
-from dc2g_jax._src.grid.sampling import ClassImage
-from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED
+from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, sampled
+from dc2g_jax.grid import FREE, FRONT_DOOR, OCCUPIED, ClassImage, component_numbers
 
 #: Columns and rows of the maps.
 CELLS = 50
@@ -132,3 +132,26 @@ def plain_maps(kind: str, seed: int = 0) -> list[tuple[str, str, ClassImage]]:
             drawn = with_door(PLAIN[kind](rng), rng)
         maps.append((f"{kind[:-1]}{number:03d}", split, drawn))
     return maps
+
+
+def _dataset(kind: str) -> HouseDataset:
+    houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in plain_maps(kind))
+    return HouseDataset(kind, PROCEDURAL, tuple(houses))
+
+
+@functools.cache
+def mazes() -> HouseDataset:
+    """The mazes as a dataset."""
+    return _dataset("mazes")
+
+
+@functools.cache
+def halls() -> HouseDataset:
+    """The halls as a dataset."""
+    return _dataset("halls")
+
+
+@functools.cache
+def offices() -> HouseDataset:
+    """The offices as a dataset."""
+    return _dataset("offices")

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
-from dc2g_jax._src.planning.rivals.regions import find_regions
+from dc2g_jax.estimation import Estimator
+from dc2g_jax.grid import Belief
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted
+from dc2g_jax.rivals.regions import find_regions
 
 
 def expected_costs(

@@ -4,9 +4,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, UInt32
 
-from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.planning.rivals.choosing import ChoosingPlanner, Moment, PoseValues
+from dc2g_jax.grid import Belief, bitboard
+from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues
 
 
 def _mixed(number: UInt32[Array, "..."]) -> UInt32[Array, "..."]:

@@ -4,14 +4,14 @@ Streets cross a town or end in it. Along them stand houses with walkways and dri
 front door, and between the houses lie parks, parking lots, squares and blocks. All is drawn on the grid itself.
 """
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax._src.grid.ground import connected_to
-from dc2g_jax._src.grid.sampling import ClassImage
-from dc2g_jax._src.grid.terrain import (
+from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, Range, first_usable, sampled, uniform
+from dc2g_jax.grid import (
     BUSH,
     CAR,
     DRIVEWAY,
@@ -25,8 +25,9 @@ from dc2g_jax._src.grid.terrain import (
     SIDEWALK,
     TRAVERSABLE,
     TREE,
+    ClassImage,
+    connected_to,
 )
-from dc2g_jax._src.procedural.drawing import Range, first_usable, uniform
 
 #: Columns and rows of the towns. They are few, since a planner is compiled for each.
 TOWN_SIZES: tuple[tuple[int, int], ...] = (
@@ -264,9 +265,9 @@ def draw_town(seed: int, columns: int, rows: int) -> ClassImage:
     return first_usable(lambda rng: _draw(rng, columns, rows), seed, (), f"town of {columns} x {rows} cells")
 
 
-def drawn_towns() -> list[tuple[str, str, ClassImage]]:
-    """Towns by `TOWN_SPLIT`: (name, split, class indices uint8 [rows columns]) of each."""
-    return [
-        (name, split, draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)]))
-        for number, (name, split) in enumerate(TOWN_SPLIT)
-    ]
+@functools.cache
+def towns() -> HouseDataset:
+    """The towns by `TOWN_SPLIT`, each on its own grid."""
+    drawn = (draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)]) for number in range(len(TOWN_SPLIT)))
+    houses = (House(*named, sampled(named[0], town, None)) for named, town in zip(TOWN_SPLIT, drawn, strict=True))
+    return HouseDataset("towns", PROCEDURAL, tuple(houses))

@@ -5,11 +5,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.grid import bitboard, poses, search
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.grid.poses import Pose
-from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.rivals.choosing import Moment, PoseValues, at_cells
+from dc2g_jax.grid import Belief, Pose, bitboard, poses, search
+from dc2g_jax.planning import Moment, PoseValues, at_cells, frontiers
 
 #: Pieces of the frontier that are looked at, at most. Plans are made over all orders of them.
 MOST_REGIONS = 5

@@ -7,31 +7,32 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
-from dc2g_jax._src.grid import bitboard, poses
-from dc2g_jax._src.grid.bitboard import Board
-from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.grid.poses import (
+from dc2g_jax.grid import (
     FORWARD,
     FORWARD_ACTION,
     HEADINGS,
     LEFT_ACTION,
     RIGHT_ACTION,
+    Belief,
+    Board,
     PoseSet,
+    World,
+    bitboard,
     every_heading,
     only,
+    poses,
 )
-from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import (
+from dc2g_jax.planning import (
     EXPLORE,
     TO_GOAL,
     AssessingPlanner,
     Assessment,
     Plan,
+    Rules,
     explore_or_finish,
+    exploring_poses,
     reachable_cells,
 )
-from dc2g_jax._src.planning.rivals.choosing import exploring_poses
-from dc2g_jax._src.planning.rules import Rules
 
 
 class Walk(NamedTuple):

@@ -1,1 +1,0 @@
-"""Planners after other papers, one file each, to compare with: `dc2g compare` runs them all."""

@@ -1,0 +1,5 @@
+"""Planners after other papers, each in a file of its own. They are registered by name as plug-ins."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
