@@ -1,6 +1,12 @@
 """Devices, compiled programs, errors and parts by name, for packages that build on dc2g_jax."""
 
-from dc2g_jax._src.errors import InputError as InputError, require_extra as require_extra, short as short
+from dc2g_jax._src.errors import (
+    InputError as InputError,
+    check_name as check_name,
+    check_number as check_number,
+    require_extra as require_extra,
+    short as short,
+)
 from dc2g_jax._src.files.cache import keep_compiled_programs as keep_compiled_programs
 from dc2g_jax._src.own_parts import own_part as own_part
 from dc2g_jax._src.programs import jit as jit

@@ -2,10 +2,12 @@
 
 import contextlib
 import importlib.util
+import math
+import numbers
 import os
 import reprlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 #: Longest message of an `InputError`, in characters. Of longer ones the middle is left out.
@@ -52,6 +54,56 @@ def short(value: Any) -> str:
     """A value as in Python, for a message: at most some 60 characters, in little time for values of any size."""
     text = _SHORT.repr(value)
     return text if len(text) <= 60 else f"{text[:56]} ..."
+
+
+def check_number(
+    name: str, value: Any, *, whole: bool = False, least: float = -math.inf, most: float = math.inf,
+    above: float = -math.inf, hint: str = "",
+) -> None:  # fmt: skip
+    """Check a number.
+
+    Args:
+      name: what the number is, such as `--starts` or `cell_size`, and where it stands, for the message.
+      value: the number.
+      whole: whether it must be an integer.
+      least: smallest number that is valid.
+      most: largest number that is valid.
+      above: the number must be larger than this.
+      hint: rest of the message, such as a unit or where to look.
+
+    Raises:
+      InputError: the value is not a finite number within the bounds.
+    """
+    valid = (
+        isinstance(value, numbers.Integral if whole else numbers.Real)
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+    )
+    if valid and max(least, above) <= value <= most and value != above:
+        return
+    kind = "a whole number" if whole else "a number"
+    if least > -math.inf and most < math.inf:
+        bounds = f" from {least:g} to {most:g}"
+    else:
+        limits = ((" above", above), (" of at least", least), (" of at most", most))
+        bounds = " and".join(f"{words} {limit:g}" for words, limit in limits if math.isfinite(limit))
+    raise InputError(f"{name} {short(value)}: give {kind}{bounds}{hint and ' '}{hint}")
+
+
+def check_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
+    """Check that a name is a known one.
+
+    Args:
+      kind: what it names, such as `split`, for the message.
+      name: the name.
+      known: all names that are valid.
+      hint: rest of the message.
+
+    Raises:
+      InputError: it is not.
+    """
+    if name not in (known := [*known]):
+        raise InputError(f"no {kind} is called {short(name)}; give one of {', '.join(known)}{hint and ' '}{hint}")
 
 
 def require_extra(*modules: str, extra: str = "all") -> None:

@@ -1,0 +1,47 @@
+"""Checks of numbers and names, and the one line that they raise."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dc2g_jax._src.errors import check_name, check_number
+from tests.support.refusals import refusal
+
+
+@pytest.mark.parametrize(
+    ("value", "bounds", "message"),
+    [
+        (0, {"whole": True, "least": 1}, "--starts 0: give a whole number of at least 1"),
+        (1.5, {"whole": True, "least": 1}, "--starts 1.5: give a whole number of at least 1"),
+        (True, {"whole": True, "least": 1}, "--starts True: give a whole number of at least 1"),
+        (65, {"whole": True, "least": 1, "most": 64}, "--starts 65: give a whole number from 1 to 64"),
+        (0.0, {"above": 0, "hint": "meters"}, "--starts 0.0: give a number above 0 meters"),
+        (2.0, {"above": 0, "most": 1}, "--starts 2.0: give a number above 0 and of at most 1"),
+        (math.nan, {}, "--starts nan: give a number"),
+        (math.inf, {"least": 0}, "--starts inf: give a number of at least 0"),
+        ("3", {"least": 0}, "--starts '3': give a number of at least 0"),
+    ],
+)
+def test_numbers_out_of_bounds(value, bounds, message):
+    assert refusal(lambda: check_number("--starts", value, **bounds)) == message
+
+
+@pytest.mark.parametrize(
+    ("value", "bounds"),
+    [
+        (1, {"whole": True, "least": 1}),
+        (np.int32(3), {"whole": True}),
+        (1e-9, {"above": 0}),
+        (np.float32(1), {"most": 1}),
+    ],
+)
+def test_numbers_within_bounds(value, bounds):
+    check_number("--starts", value, **bounds)
+
+
+def test_names():
+    check_name("split", "val", ("train", "val"))
+    assert refusal(lambda: check_name("split", "vla", ("train", "val"))) == (
+        "no split is called 'vla'; give one of train, val"
+    )
