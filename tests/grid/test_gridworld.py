@@ -28,19 +28,18 @@ def test_a_walk_of_random_actions(shape, seed, density):
     world = World.from_terrain(terrain)
     pose = maps.random_pose(seed, np.ones(shape, bool))
     belief = reset(world, make_pose(*pose))
-    seen = oracle.visible(pose, 4, shape)
+    seen, ground = oracle.visible(pose, 4, shape), np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
     for count, action in enumerate(np.random.default_rng(seed).choice([0, 0, 0, 1, 2], 15)):
         assert int(belief.steps) == count
         assert (int(belief.pose.x), int(belief.pose.y), int(belief.pose.heading)) == pose
         np.testing.assert_array_equal(bitboard.unpack(belief.seen, shape[1]), seen)
         np.testing.assert_array_equal(belief.terrain, np.where(seen, terrain, 0))
-        traversable = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
-        np.testing.assert_array_equal(bitboard.unpack(belief.traversable, shape[1]), traversable)
+        np.testing.assert_array_equal(bitboard.unpack(belief.traversable, shape[1]), seen & ground)
         goals = terrain == oracle.FRONT_DOOR
         np.testing.assert_array_equal(bitboard.unpack(belief.goals, shape[1]), seen & goals)
         assert bool(gridworld.at_goal(world, belief.pose)) == goals[pose[1], pose[0]]
         belief = step(world, belief, jnp.int32(action))
-        pose = oracle.moved(pose, int(action), shape)
+        pose = oracle.driven(pose, int(action), ground)
         seen |= oracle.visible(pose, 4, shape)
 
 
@@ -51,6 +50,21 @@ def test_a_step_off_the_map_stays_in_place(street, heading):
     belief = reset(World.from_terrain(street), make_pose(x, y, heading))
     after = step(World.from_terrain(street), belief, jnp.int32(0))
     assert (int(after.pose.x), int(after.pose.y), int(after.pose.heading)) == (x, y, heading)
+    assert int(after.steps) == 1
+
+
+@pytest.mark.parametrize("heading", range(4))
+def test_a_robot_in_a_wall_turns_and_may_only_leave_it_onto_ground(heading):
+    terrain = maps.drawn("""
+        ###
+        #tR
+        ###
+    """)
+    world = World.from_terrain(terrain)
+    belief = reset(world, make_pose(1, 1, heading))
+    assert int(step(world, belief, jnp.int32(1)).pose.heading) == (heading - 1) % 4
+    after = step(world, belief, jnp.int32(0))
+    assert (int(after.pose.x), int(after.pose.y)) == ((2, 1) if heading == 0 else (1, 1))
     assert int(after.steps) == 1
 
 

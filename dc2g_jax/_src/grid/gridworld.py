@@ -62,9 +62,16 @@ def reset(world: World, pose: Pose, sensing: Kernel) -> Belief:
     return belief_of(world, pose, jnp.zeros_like(pose.x), sensing.visible(pose, world.opaque, world.width))
 
 
+def move(world: World, pose: Pose, action: Int[Array, "*batch"]) -> Pose:
+    """The pose after an action. A robot stays in place if the cell ahead is off the map or not traversable."""
+    ahead = moved(pose, action, world.height, world.width)
+    free = bitboard.contains(world.traversable, ahead.x, ahead.y)
+    return Pose(jnp.where(free, ahead.x, pose.x), jnp.where(free, ahead.y, pose.y), ahead.heading)
+
+
 def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Kernel) -> Belief:
-    """Take one action, then observe. Shapes and dtypes of the belief do not change."""
-    pose = moved(belief.pose, action, belief.height, belief.width)
+    """Take one action (see `move`), then observe. Shapes and dtypes of the belief do not change."""
+    pose = move(world, belief.pose, action)
     n_words, height, *batch = belief.seen.shape
     if batch != [1]:
         seen = belief.seen | sensing.visible(pose, world.opaque, world.width)
