@@ -14,6 +14,7 @@ from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
+from tests.support.refusals import refusal
 
 SENSING = field_of_view(4)
 reset = jax.jit(functools.partial(gridworld.reset, sensing=SENSING))
@@ -121,6 +122,25 @@ def test_steps_can_be_scanned_and_mapped(street):
         for action in one:
             belief = step(world, belief, jnp.int32(action))
         jax.tree.map(lambda many, single, row=row: np.testing.assert_array_equal(many[row], single), beliefs, belief)
+
+
+def test_batch_axes_that_come_first_are_refused(street):
+    world, many = World.from_terrain(street), make_pose(np.arange(1, 5), np.full(4, 4), np.zeros(4))
+    beliefs = jax.vmap(lambda pose: gridworld.reset(world, pose, SENSING))(many)
+    worlds, refused = beliefs.replace(goals=jnp.stack([world.goals] * 4)), "batch axes come last: "
+    found = "goals for poses [4] are [4, 1, 8], expected [1, h, 4]; with jax.vmap, give in_axes=-1 and out_axes=-1"
+    refusal(lambda: gridworld.reset(worlds, many, SENSING), refused + found)
+    refusal(lambda: gridworld.reset(world, many, SENSING), refused, "poses [4] are [1, 8]")
+    refusal(lambda: gridworld.reset(world, make_pose(1, 4, np.arange(2)), SENSING), refused, "poses [2] are [1, 8]")
+    stack = World.from_terrain(np.stack([street] * 4, axis=-1))
+    refusal(lambda: gridworld.step(stack, beliefs, jnp.zeros(4, jnp.int32), SENSING), refused + found)
+    refusal(lambda: gridworld.at_goal(worlds, many), refused + found)
+    maps_first = np.stack([street] * 4)
+    refusal(lambda: gridworld.belief_from_map(maps_first, many), refused, "maps for poses [4] are [4, 8, 10]")
+    # As the message says.
+    again = jax.vmap(lambda pose: gridworld.reset(world, pose, SENSING), in_axes=-1, out_axes=-1)(many)
+    jax.tree.map(np.testing.assert_array_equal, again, gridworld.reset(stack, many, SENSING))
+    refusal(lambda: gridworld.step(world, again, jnp.zeros(4, jnp.int32), SENSING), refused, "poses [4] are [1, 8]")
 
 
 def test_worlds_of_a_batch_are_those_of_its_members(street, island):

@@ -33,6 +33,7 @@ from dc2g_jax._src.rollouts.rollout import NO_ACTION, Episodes, Trajectories, ro
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds
+from tests.support.refusals import refusal
 
 RULES = complete_rules(3)
 SHAPE = (8, 10)
@@ -103,6 +104,15 @@ def test_types_of_the_results(terrains):
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(done))
     assert set(np.unique(done.mode)) <= {EXPLORE, TO_GOAL, GAVE_UP}
     assert set(np.unique(done.actions)) == {-1, 0, 1, 2}
+
+
+def test_worlds_that_are_not_stacked_along_the_last_axis_are_refused(terrains):
+    for worlds in (World.from_terrain(terrains[0]), jax.vmap(World.from_terrain)(terrains)):
+        shape = list(worlds.goals.shape)
+        refusal(
+            lambda worlds=worlds: rollout(Frontier(RULES), worlds, some_episodes(terrains, 0), sensing=RULES.sensing),
+            f"batch axes come last: goals of the stacked worlds are {shape}, expected [1, h, worlds]",
+        )
 
 
 def test_no_episodes(terrains):
