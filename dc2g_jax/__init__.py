@@ -7,19 +7,14 @@ results = dc2g.evaluate(["frontier", "dc2g"], "procedural", split="val")
 print(results)
 ```
 
-The names below are imported when they are first used, so that `import dc2g_jax` costs nothing. It also registers the
-environment with Gymnasium, see `environments.registration`.
+The names below are imported when they are first used, so that `import dc2g_jax` costs nothing.
 """
 
 import importlib.metadata
 
 import lazy_loader
 
-from dc2g_jax._src.environments.registration import register_with_gymnasium
-
 __version__ = importlib.metadata.version(__name__)
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 __all__ += ["__version__"]
-
-register_with_gymnasium()

@@ -1,4 +1,4 @@
-"""The gridworld: classes of terrain, poses, sets of cells, search and sensing, as pure functions of arrays."""
+"""The gridworld as pure functions of arrays, batch axes last: terrain, poses, sets of cells, search and sensing."""
 
 from dc2g_jax._src.grid import bitboard as bitboard, gridworld as gridworld, poses as poses, search as search
 from dc2g_jax._src.grid.bitboard import Board as Board

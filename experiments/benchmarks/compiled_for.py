@@ -110,24 +110,29 @@ def step_of(program: Launches, depth: int) -> Launches:
     return dataclasses.replace(step, loops=[loop for loop in step.loops if not any(loop is level for level in path)])
 
 
-def cost(name: str, hot: HotProgram, target: Target) -> Cost:
-    """Compile a program for a target and count what it costs there."""
+def lowered(hot: HotProgram) -> Any:
+    """The program, ready to be compiled for the devices of its mesh."""
 
     def placed(tree: Any, spec: PartitionSpec) -> Any:
         sharding = NamedSharding(hot.mesh, spec)
         shapes = jax.eval_shape(lambda tree: tree, tree)
         return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), shapes)
 
+    return hot.program.lower(*map(placed, hot.arguments, hot.specs), **hot.static)
+
+
+def cost(name: str, hot: HotProgram, target: Target) -> Cost:
+    """Compile a program for a target and count what it costs there."""
     start = time.perf_counter()
     with nothing_kept():
-        lowered = hot.program.lower(*map(placed, hot.arguments, hot.specs), **hot.static)
-        compiled = lowered.compile()
+        program = lowered(hot)
+        compiled = program.compile()
     seconds = time.perf_counter() - start
     memory = compiled.memory_analysis()
     held = memory.argument_size_in_bytes + memory.output_size_in_bytes - memory.alias_size_in_bytes
     step = step_of(count_launches(compiled.as_text()), hot.depth)
     # JAX asks the target, which does not say; a CPU counts what is written.
-    written = lowered.compiler_ir("hlo").as_hlo_module()
+    written = program.compiler_ir("hlo").as_hlo_module()
     flops = float(_jax.hlo_module_cost_analysis(jax.devices("cpu")[0].client, written).get("flops", 0.0))
     loops = tuple((loop.kernels, loop.bytes) for loop in step.all_loops)
     moved = step.bytes + sum(size for _, size in loops)

@@ -181,8 +181,8 @@ def _robots_steps(
     where = _array(n, each)
     begin = functools.partial(robot._at_starts, mesh=mesh, reset=reset, number=number)
     robots = jax.eval_shape(begin, where, _array(n, each, 2, dtype=jnp.uint32), own, sites, components)
-    arguments = (where, sites, components, _array(), robots, _array())
-    specs = (_DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
+    arguments = (where, _array(n, each, dtype=jnp.bool_), sites, components, _array(), robots, _array())
+    specs = (_DEALT, _DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
     return HotProgram(robot._go_on, arguments, specs, {"mesh": mesh, "step": step}, where.size, mesh, depth=1)
 
 

@@ -30,6 +30,7 @@ ENVIRONMENT, PARAMS = front_door(HOUSES, sensing_range=RANGE, step_limit=LIMIT)
 reset = jax.jit(ENVIRONMENT.reset)
 start = jax.jit(ENVIRONMENT.start)
 step = jax.jit(ENVIRONMENT.step)
+advance = jax.jit(ENVIRONMENT.advance)
 
 
 def pose_of(observation) -> tuple[int, int, int]:
@@ -50,9 +51,7 @@ class Simulation:
 
     def act(self, action: int) -> tuple[bool, bool]:
         """Take an action: is a door reached, are the steps used up?"""
-        after = oracle.moved(self.pose, action, self.terrain.shape)
-        if self.terrain[after[1], after[0]] in oracle.TRAVERSABLE_CLASSES:
-            self.pose = after
+        self.pose = oracle.driven(self.pose, action, np.isin(self.terrain, oracle.TRAVERSABLE_CLASSES))
         self.steps += 1
         self.seen |= oracle.visible(self.pose, RANGE, self.terrain.shape)
         reached = bool(self.terrain[self.pose[1], self.pose[0]] == oracle.FRONT_DOOR)
@@ -103,6 +102,16 @@ def test_random_actions_against_a_plain_simulation():
     # Both ways to end, in both houses, and obstacles were met.
     assert len(endings) == 4
     assert bumped > 50
+
+
+def test_a_robot_that_only_drives_forward_stays_on_ground():
+    for number, terrain in enumerate(TERRAINS):
+        for x, y, heading in sorted(start_poses(terrain)):
+            _, state = begin(number, x, y, heading)
+            for _ in range(max(terrain.shape)):
+                state = advance(state, jnp.int32(0), PARAMS)[0]
+                pose = pose_of(observe(state))
+                assert terrain[pose[1], pose[0]] in oracle.TRAVERSABLE_CLASSES
 
 
 def test_the_oracle_s_actions_end_the_episode_when_the_rollout_says():

@@ -17,11 +17,11 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
 from dc2g_jax._src.environments.functional import egocentric, observe  # noqa: E402
 from dc2g_jax._src.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
-from dc2g_jax._src.environments.gymnasium_wrappers import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
 from dc2g_jax._src.environments.registration import GYMNASIUM_ID  # noqa: E402
 from dc2g_jax._src.environments.task import FrontDoorTask, make_env  # noqa: E402
 from dc2g_jax._src.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
 from dc2g_jax._src.readers.houses import HouseDataset  # noqa: E402
+from dc2g_jax.gymnasium import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
 from tests.oracles import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, WALLED, YARD, house, save_dataset, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -68,22 +68,29 @@ def test_gymnasium_s_own_check(render_mode):
 @pytest.mark.parametrize(
     ("imports", "name"),
     [
-        ("import gymnasium", f"dc2g_jax:{GYMNASIUM_ID}"),
-        ("import gymnasium, dc2g_jax", GYMNASIUM_ID),
-        ("import dc2g_jax, gymnasium", GYMNASIUM_ID),
-        ("import dc2g_jax, gymnasium", f"dc2g_jax:{GYMNASIUM_ID}"),
-        ("import dc2g_jax, importlib.util; importlib.util.find_spec('gymnasium'); import gymnasium", GYMNASIUM_ID),
+        ("import gymnasium", f"dc2g_jax.gymnasium:{GYMNASIUM_ID}"),
+        ("import gymnasium, dc2g_jax.gymnasium", GYMNASIUM_ID),
+        ("import dc2g_jax.gymnasium, gymnasium", GYMNASIUM_ID),
+        ("import dc2g_jax.gymnasium, gymnasium", f"dc2g_jax.gymnasium:{GYMNASIUM_ID}"),
     ],
 )
 def test_registration_whichever_is_imported_first(imports, name):
-    """Warnings, as of a second registration, are errors. The environment itself is not imported."""
+    """Warnings, as of a second registration, are errors."""
     script = f"""
-import sys
 {imports}
-print(gymnasium.envs.registration._find_spec("{name}").entry_point, "jax" in sys.modules)
+spec = gymnasium.envs.registration._find_spec("{name}")
+print(spec.entry_point, spec.vector_entry_point)
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == "dc2g_jax._src.environments.gymnasium_env:FrontDoorEnv False\n"
+    module = "dc2g_jax._src.environments.gymnasium_env"
+    assert done.stdout == f"{module}:FrontDoorEnv {module}:FrontDoorVectorEnv\n"
+
+
+@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
+def test_robots_side_by_side_by_the_name_with_its_module(mode):
+    name = f"dc2g_jax.gymnasium:{GYMNASIUM_ID}"
+    robots = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, **SMALL)
+    assert robots.reset(seed=0)[0]["pose"].shape == (2, 3)
 
 
 def test_a_folder_of_houses_by_name(tmp_path):

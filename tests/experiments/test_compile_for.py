@@ -10,12 +10,17 @@ import jax.numpy as jnp
 import pytest
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.rollouts.devices import mesh_of
 from experiments import compile_for
 from experiments.benchmarks import compiled_for
-from experiments.benchmarks.compiled_for import Cost, Target, step_of
+from experiments.benchmarks.compiled_for import Cost, Target, lowered, step_of
+from experiments.benchmarks.hot_programs import hot_programs
 from experiments.benchmarks.launches import Launches, count_launches
 from experiments.compile_for import Options, main
 from tests.support.refusals import refusal
+
+#: All programs, for few robots.
+PROGRAMS = hot_programs(robots=4, driving=2)
 
 HLO = """HloModule example
 
@@ -90,6 +95,14 @@ def test_a_step_is_a_turn_of_the_loops_around_it():
     program = Launches(9, 90, [Launches(3, 30, [short, step])])
     assert step_of(program, 2) == Launches(8, 80, [short, search])
     assert step_of(program, 0) == program
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_program_takes_its_arguments(name):
+    count, make = PROGRAMS[name]
+    hot = make(mesh_of(jax.devices()[:count]))
+    assert len(hot.specs) == len(hot.arguments)
+    lowered(hot)
 
 
 def test_a_program_that_fails_does_not_stop_the_others(tmp_path, monkeypatch, capsys):

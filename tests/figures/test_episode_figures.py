@@ -67,6 +67,11 @@ def test_a_way_against_the_edge_of_the_map_stays_there():
     assert way.heading.tolist() == [0, 0, 0, 0, 3]
 
 
+def test_a_way_against_a_house_stays_before_it():
+    way = poses_along(toy.RESULTS["dc2g"]._replace(x=9, y=4, heading=3, actions="FLF"), toy.HOUSE)
+    assert (way.x.tolist(), way.y.tolist()) == ([9, 9, 9, 8], [4, 4, 4, 4])
+
+
 def test_moments_are_the_start_the_sight_of_the_goal_and_the_end():
     frames = toy.replayed()["frontier"]
     assert len(frames) == 25

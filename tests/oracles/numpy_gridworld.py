@@ -320,6 +320,12 @@ def moved(pose: Pose, action: int, shape: tuple[int, int]) -> Pose:
     return (x + dx, y + dy, heading) if inside else pose
 
 
+def driven(pose: Pose, action: int, traversable: Array) -> Pose:
+    """Pose after an action. Forward off the map or into a cell that is not traversable stays in place."""
+    x, y, heading = moved(pose, action, traversable.shape)
+    return (x, y, heading) if traversable[y, x] else (*pose[:2], heading)
+
+
 def revealing_poses(
     poses: Array, seen: Array, reached: Array, pose: Pose, *, sensing_radius: int, expanding_radius: int
 ) -> Array:

@@ -69,6 +69,19 @@ def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_
         assert done.steps[index] == len(actions)
 
 
+@pytest.mark.parametrize("name", ["oracle", "frontier", "true_cost_to_go", "dc2g_bounded", "hysteresis", "right_hand"])
+def test_batch_axes_that_come_first_are_refused(name, street):
+    """As many robots as rows: without a check, some of these would run."""
+    rules, count = complete_rules(SENSING), len(street)
+    planner = planner_with(name, rules, ExactCostToGo())
+    stack, start = World.from_terrain(np.stack([street] * count, axis=-1)), make_pose(*np.full((3, count), 2))
+    belief = gridworld.reset(stack, start, rules.sensing)
+    worlds, beliefs = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), (stack, belief))
+    for told, state in ((beliefs, stack), (belief, worlds), (beliefs, worlds)):
+        decide = functools.partial(planner.plan, told, planner.init(state))
+        refusal(decide, "batch axes come last", f"are [{count}, 1, {count}], expected [1, ")
+
+
 @pytest.mark.parametrize("shape", [(11, 33), (1, 40)], ids="{0[0]}x{0[1]}".format)
 def test_oracle_episodes(shape):
     terrains, starts = random_worlds(shape, 100)

@@ -7,13 +7,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import struct
+from jax import Array
 
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
-from dc2g_jax._src.grid.poses import LEFT_ACTION, make_pose
+from dc2g_jax._src.grid.poses import LEFT_ACTION, every_heading, make_pose
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.bounded import Bounded
-from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle, asks
+from dc2g_jax._src.planning.planners import (
+    DC2G,
+    EXPLORE,
+    GAVE_UP,
+    TO_GOAL,
+    Frontier,
+    Oracle,
+    Plan,
+    Planner,
+    asks,
+)
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.planning.selection import QuantileCost
 from dc2g_jax._src.rollouts import devices, rollout as rollout_module
@@ -22,6 +33,7 @@ from dc2g_jax._src.rollouts.rollout import NO_ACTION, Episodes, Trajectories, ro
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds
+from tests.support.refusals import refusal
 
 RULES = complete_rules(3)
 SHAPE = (8, 10)
@@ -92,6 +104,15 @@ def test_types_of_the_results(terrains):
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(done))
     assert set(np.unique(done.mode)) <= {EXPLORE, TO_GOAL, GAVE_UP}
     assert set(np.unique(done.actions)) == {-1, 0, 1, 2}
+
+
+def test_worlds_that_are_not_stacked_along_the_last_axis_are_refused(terrains):
+    for worlds in (World.from_terrain(terrains[0]), jax.vmap(World.from_terrain)(terrains)):
+        shape = list(worlds.goals.shape)
+        refusal(
+            lambda worlds=worlds: rollout(Frontier(RULES), worlds, some_episodes(terrains, 0), sensing=RULES.sensing),
+            f"batch axes come last: goals of the stacked worlds are {shape}, expected [1, h, worlds]",
+        )
 
 
 def test_no_episodes(terrains):
@@ -225,6 +246,44 @@ def test_a_planner_with_a_plan_of_its_own_follows_it(terrains):
     assert not asks(planner)
     assert (done.steps > 0).all()
     assert np.isin(done.actions, [LEFT_ACTION, NO_ACTION]).all()
+
+
+@struct.dataclass
+class Blind(Planner):
+    """Takes these actions, whatever it sees."""
+
+    actions: Array
+
+    def init(self, world):
+        return ()
+
+    def plan(self, belief, state):
+        action = self.actions[belief.steps]
+        nowhere = every_heading(jnp.zeros_like(belief.seen))
+        return Plan(action, jnp.full_like(action, EXPLORE), jnp.ones_like(action), nowhere), state
+
+
+@pytest.mark.parametrize("slots", [1, 4])
+def test_no_robot_drives_through_a_house(slots):
+    street = np.stack([maps.drawn("RR#RDR"), maps.drawn("RRRRDR")])
+    episodes = Episodes(world=jnp.array([0, 1, 0, 0]), start=make_pose(np.array([0, 0, 3, 2]), *np.zeros((2, 4))))
+    done = run(street, episodes, Blind(jnp.zeros(60, jnp.int32)), slots=slots)
+    # Of those that start in the west, one has a house in its way. The last starts in the house, and may leave it.
+    assert done.success.tolist() == [False, True, True, True]
+    assert done.steps.tolist() == [60, 4, 1, 2]
+
+
+@pytest.mark.parametrize("slots", [1, N_EPISODES])
+def test_no_random_walk_beats_the_oracle(terrains, slots):
+    arrived = 0
+    for seed in range(20):
+        episodes = some_episodes(terrains, seed)
+        actions = np.random.default_rng(seed).choice([0, 0, 0, 1, 2], 60)
+        best, done = (run(terrains, episodes, of, slots=slots) for of in (Oracle(), Blind(jnp.asarray(actions))))
+        assert not (done.success & ~best.success).any()
+        assert (done.steps >= best.steps)[done.success].all()
+        arrived += done.success.sum()
+    assert arrived > 20
 
 
 @pytest.mark.release

@@ -26,9 +26,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from dc2g_jax._src.environments import spaces
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.grid import bitboard, gridworld
+from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax._src.grid.world import World
@@ -160,9 +160,6 @@ class FrontDoor:
         known = jnp.arange(self.num_actions, dtype=jnp.int32).at[action]
         action = known.get(mode="fill", fill_value=NO_ACTION, wrap_negative_indices=False)
         world = _world(params, state.house)
-        ahead = moved(state.belief.pose, action, world.height, world.width)
-        # The robot stays in place if the cell ahead is not traversable.
-        action = jnp.where(bitboard.contains(world.traversable, ahead.x, ahead.y), action, NO_ACTION)
         belief = gridworld.step(world, state.belief, action, self.sensing)
         reward = jnp.full(action.shape, _STEP_REWARD, jnp.float32)
         terminated = gridworld.at_goal(world, belief.pose)

@@ -1,6 +1,6 @@
 """The search for a front door as Gymnasium environments: a single one, and a vectorized one in one compiled call.
 
-    import dc2g_jax  # registers the environments
+    import dc2g_jax.gymnasium  # registers the environments
 
     gymnasium.make("dc2g_jax/FrontDoor-v0", dataset="procedural", split="train")
     gymnasium.make_vec("dc2g_jax/FrontDoor-v0", num_envs=256, vectorization_mode="vector_entry_point")

@@ -36,9 +36,11 @@ from dc2g_jax._src.figures.results_figures import (
     present_classes,
     save_figure,
 )
+from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.ground import pieces
-from dc2g_jax._src.grid.poses import Pose, make_pose, moved
+from dc2g_jax._src.grid.poses import Pose, make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
@@ -269,10 +271,9 @@ def draw_costs(axes: Axes, house: House, frames: Frames, frame: int, high: float
 
 def poses_along(result: EpisodeResult, house: House) -> Pose:
     """The poses before each action of an episode and after the last: `[t]`, as NumPy arrays."""
-    height, width = house.terrain.shape
-    start = make_pose(result.x, result.y, result.heading)
+    world, start = World.from_terrain(house.terrain), make_pose(result.x, result.y, result.heading)
     actions = jnp.append(actions_from_letters(result.actions), NO_ACTION).astype(jnp.int32)
-    _, poses = jax.lax.scan(lambda pose, action: (moved(pose, action, height, width), pose), start, actions)
+    _, poses = jax.lax.scan(lambda pose, action: (gridworld.move(world, pose, action), pose), start, actions)
     return jax.device_get(poses)
 
 

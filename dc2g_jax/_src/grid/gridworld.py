@@ -6,11 +6,13 @@ Pure functions on one robot or on a batch of robots. Batch axes come last, see `
 import dataclasses
 import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Int, UInt8, UInt32
 
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose, moved
 from dc2g_jax._src.grid.sensing import Kernel
@@ -57,14 +59,66 @@ def belief_of(world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt3
     )
 
 
+def check_axes(what: str, shape: tuple[int, ...], *expected: int | str) -> None:
+    """Check a shape while a program is traced, so that the program itself does not.
+
+    Args:
+      what: what has this shape, for the message.
+      shape: the shape.
+      expected: size of each axis, or the name of an axis of any size.
+
+    Raises:
+      InputError: the shape is another, as that of results of `jax.vmap`, whose batch axis comes first.
+    """
+    sizes = tuple(size if isinstance(axis, str) else axis for axis, size in zip(expected, shape, strict=False))
+    if shape != sizes or len(shape) != len(expected):
+        raise InputError(
+            f"batch axes come last: {what} are {list(shape)}, expected [{', '.join(map(str, expected))}]; "
+            "with jax.vmap, give in_axes=-1 and out_axes=-1"
+        )
+
+
+def check_poses(world: World, pose: Pose) -> None:
+    """Check that the boards of a world or a belief have the batch axes of these poses, and have them last.
+
+    Raises:
+      InputError: see `check_axes`.
+    """
+    for leaf in jax.tree.leaves(pose):
+        words, shape = bitboard.word_count(world.width), leaf.shape
+        check_axes(f"goals for poses {list(shape)}", world.goals.shape, words, "h", *shape)
+
+
 def reset(world: World, pose: Pose, sensing: Kernel) -> Belief:
-    """The belief at the start of an episode, after the observation from the first pose."""
+    """The belief at the start of an episode, after the observation from the first pose.
+
+    Raises:
+      InputError: world and pose are of different batches.
+    """
+    check_poses(world, pose)
     return belief_of(world, pose, jnp.zeros_like(pose.x), sensing.visible(pose, world.opaque, world.width))
 
 
+def move(world: World, pose: Pose, action: Int[Array, "*batch"]) -> Pose:
+    """The pose after an action. A robot stays in place if the cell ahead is off the map or not traversable.
+
+    Raises:
+      InputError: world and pose are of different batches.
+    """
+    check_poses(world, pose)
+    ahead = moved(pose, action, world.height, world.width)
+    free = bitboard.contains(world.traversable, ahead.x, ahead.y)
+    return Pose(jnp.where(free, ahead.x, pose.x), jnp.where(free, ahead.y, pose.y), ahead.heading)
+
+
 def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Kernel) -> Belief:
-    """Take one action, then observe. Shapes and dtypes of the belief do not change."""
-    pose = moved(belief.pose, action, belief.height, belief.width)
+    """Take one action (see `move`), then observe. Shapes and dtypes of the belief do not change.
+
+    Raises:
+      InputError: world and belief are of different batches.
+    """
+    check_poses(belief, belief.pose)
+    pose = move(world, belief.pose, action)
     n_words, height, *batch = belief.seen.shape
     if batch != [1]:
         seen = belief.seen | sensing.visible(pose, world.opaque, world.width)
@@ -79,7 +133,12 @@ def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Ke
 
 
 def at_goal(world: World, pose: Pose) -> Bool[Array, "*batch"]:
-    """Whether the robot stands on a goal cell."""
+    """Whether the robot stands on a goal cell.
+
+    Raises:
+      InputError: world and pose are of different batches.
+    """
+    check_poses(world, pose)
     return bitboard.contains(world.goals, pose.x, pose.y)
 
 
@@ -89,6 +148,11 @@ def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h 
     Args:
       observed: class index of every cell, 0 for unobserved cells; see `grid.terrain`.
       pose: pose of the robot.
+
+    Raises:
+      InputError: map and pose are of different batches.
     """
+    for leaf in jax.tree.leaves(pose):
+        check_axes(f"maps for poses {list(leaf.shape)}", observed.shape, "h", "w", *leaf.shape)
     world = World.from_terrain(observed)
     return belief_of(world, pose, jnp.zeros_like(pose.x), functools.reduce(jnp.bitwise_or, world.classes))

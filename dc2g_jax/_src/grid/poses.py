@@ -45,7 +45,7 @@ def make_pose(x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Pose:
 
 
 def moved(pose: Pose, action: Int[Array, "*batch"], height: int, width: int) -> Pose:
-    """The pose after an action. A robot that would leave the map stays in place."""
+    """The pose after an action, whatever is in the cell ahead: see `gridworld.move`. It stays on the map."""
     delta = jnp.asarray(FORWARD, jnp.int32)[pose.heading.astype(jnp.uint32)]
     forward = action == FORWARD_ACTION
     turn = jnp.where(action == LEFT_ACTION, -1, jnp.where(action == RIGHT_ACTION, 1, 0)).astype(jnp.int32)

@@ -25,7 +25,7 @@ from dc2g_jax._src.estimation.extents import Surroundings
 from dc2g_jax._src.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
-from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.gridworld import Belief, check_axes, check_poses
 from dc2g_jax._src.grid.poses import PoseSet, every_heading
 from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.grid.terrain import OUTSIDE
@@ -173,7 +173,13 @@ class MapRevisingPlanner(Planner, Protocol):
 
 
 def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Array, "*batch"]) -> Plan:
-    """A shortest plan over the ground to the nearest subgoal, in this mode; `GAVE_UP` if none can be reached."""
+    """A shortest plan over the ground to the nearest subgoal, in this mode; `GAVE_UP` if none can be reached.
+
+    Raises:
+      InputError: belief and ground are of different batches.
+    """
+    check_poses(belief, belief.pose)
+    check_axes("cells of ground", ground.shape, *belief.goals.shape)
     first = search.first_action(belief.pose, subgoals, ground)
     mode = jnp.where(first.found, mode, GAVE_UP).astype(jnp.int32)
     return Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals)
@@ -208,7 +214,13 @@ def observed_terrain(belief: Belief) -> UInt8[Array, "h w *batch"]:
 
 
 def reachable_cells(belief: Belief, before: Board) -> Board:
-    """Reachable cells (Algorithm 2, line 4), grown from those of the previous step: ground is never lost."""
+    """Reachable cells (Algorithm 2, line 4), grown from those of the previous step: ground is never lost.
+
+    Raises:
+      InputError: belief and cells are of different batches.
+    """
+    check_poses(belief, belief.pose)
+    check_axes("reachable cells of the state", before.shape, *belief.goals.shape)
     robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape[:2])
     return bitboard.flood(robot | before, belief.traversable)
 
@@ -224,14 +236,19 @@ def asks(planner: Planner) -> TypeGuard[AskingPlanner]:
     return isinstance(planner, AskingPlanner) and _depth(planner, "conclude") <= _depth(planner, "assess", "plan")
 
 
+def assesses(planner: Planner) -> TypeGuard[AssessingPlanner]:
+    """Whether a planner's `assess` describes its decisions, rather than those before a subclass with its own `plan`."""
+    return _depth(planner, "assess") <= _depth(planner, "plan")
+
+
 def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
     """A planner's decision and its inputs.
 
     For a planner without `assess`, the candidates are those of the rules on reachable ground, and the nearest wins. The
     same holds for a subclass with its own `plan` and an inherited `assess`, which would describe another plan.
     """
-    if _depth(planner, "assess") <= _depth(planner, "plan"):
-        return planner.assess(belief, state)  # type: ignore[attr-defined]
+    if assesses(planner):
+        return planner.assess(belief, state)
     plan, state = planner.plan(belief, state)
     reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
     return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state

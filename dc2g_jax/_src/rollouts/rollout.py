@@ -16,7 +16,7 @@ from flax import struct
 from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Int, Int8
 
-from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
@@ -403,7 +403,12 @@ def rollout(
 
     Returns:
       Results in the order of the episodes, as NumPy arrays.
+
+    Raises:
+      InputError: `worlds` is no such stack.
     """
+    words = bitboard.word_count(worlds.width)
+    gridworld.check_axes("goals of the stacked worlds", worlds.goals.shape, words, "h", "worlds")
     n_episodes = len(episodes)
     if n_episodes == 0:
         empty = np.zeros(0, np.int32)

@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int, Int8, UInt32
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
-from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.poses import Pose, moved
+from dc2g_jax._src.grid import bitboard, gridworld
+from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Planner
@@ -99,15 +99,14 @@ def moments_along(
       times: numbers of actions, each from 0 to `len(actions)`.
       sensing: field of view.
     """
-    height, width = world.height, world.width
 
     def look(carry: tuple[Pose, Array], action: Array) -> tuple[tuple[Pose, Array], tuple[Pose, Array]]:
         pose, seen = carry
-        pose = moved(pose, action, height, width)
-        seen = seen | sensing.visible(pose, world.opaque, width)
+        pose = gridworld.move(world, pose, action)
+        seen = seen | sensing.visible(pose, world.opaque, world.width)
         return (pose, seen), (pose, seen)
 
-    first = (start, sensing.visible(start, world.opaque, width))
+    first = (start, sensing.visible(start, world.opaque, world.width))
     _, (poses, seen) = jax.lax.scan(look, first, actions.astype(jnp.int32))
     poses, seen = jax.tree.map(lambda one, rest: jnp.concatenate([one[None], rest])[times], first, (poses, seen))
 

@@ -9,6 +9,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
+from dc2g_jax.grid import Pose, belief_from_map
+from dc2g_jax.planning import Planner, assesses
 from dc2g_jax.robot.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
 from dc2g_jax.robot.driving.robot import is_driving, run_all
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
@@ -98,7 +100,8 @@ class Moment(NamedTuple):
       frame: depth and classes that the robot gets.
       robot: the robot afterwards.
       believed: the vehicle at its estimated pose then.
-      cost_to_go: the planner's estimate for each cell, in the estimator's unit; `None` without estimator.
+      cost_to_go: the planner's estimate for each cell at its last decision, in the estimator's unit; `None` without
+        estimator.
     """
 
     seconds: float
@@ -110,18 +113,30 @@ class Moment(NamedTuple):
 
 
 @jit
-def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, VehicleState, Frame, Array]:
-    """The robot at the next frame, its estimated pose there, the frame before, and its picture."""
+def _next(
+    robot: Robot, site: Site, equipment: Equipment
+) -> tuple[Array, Frame, Robot, VehicleState, Float[Array, "h w"] | None]:
+    """All of the next `Moment` but its time."""
     frame, _ = sensed(robot, site, equipment)
     seen = picture(site.scene, equipment.camera, outdoor_camera(robot.vehicle))
     after = jax.lax.fori_loop(0, equipment.frame_periods, lambda _, now: step(now, site, equipment), robot)
-    return after, believed(after), frame, seen
+    return seen, frame, after, believed(after), _predicted(after, equipment.planner)
+
+
+def _predicted(robot: Robot, planner: Planner) -> Float[Array, "h w"] | None:
+    """The planner's cost-to-go of every cell at the robot's last decision; `None` for planners without one."""
+    if not assesses(planner):
+        return None
+    # On the map of that decision, the planner has nothing to estimate anew.
+    column, row = robot.decided_in
+    belief = belief_from_map(robot.decided_on, Pose(x=column, y=row, heading=jnp.zeros_like(row)))
+    return planner.assess(belief, robot.planner_state)[0].cost_to_go
 
 
 def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:
     """Drive an episode to its end, frame by frame, for `time_limit` seconds at most."""
     while is_driving(robot, time_limit / CONTROL_PERIOD):
         seconds = float(robot.periods) * CONTROL_PERIOD
-        robot, place, frame, seen = _next(robot, site, equipment)
-        cost_to_go = getattr(robot.planner_state, "cost_to_go", None)
-        yield Moment(seconds, *jax.device_get((seen, frame, robot, place, cost_to_go)))
+        moment = _next(robot, site, equipment)
+        robot = moment[2]
+        yield Moment(seconds, *jax.device_get(moment))

@@ -6,10 +6,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK, network_in_folder
+from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Frontier, Oracle
+from dc2g_jax._src.planning.selection import ENDLESS
+from dc2g_jax.robot import figures as driving_figures
 from dc2g_jax.robot.driving import fleet
 from dc2g_jax.robot.driving.drive import ARRIVED, NOTHING_LEFT, reset, step
 from dc2g_jax.robot.driving.robot import DRIVING
@@ -58,6 +64,27 @@ def test_a_vehicle_keeps_its_limits_and_its_time(explored):
     places = np.array([moment.robot.vehicle.position for moment in explored])
     assert np.max(np.linalg.norm(np.diff(places, axis=0), axis=1)) <= 2 * 0.1 * limits.max_speed + 1e-5
     assert [moment.seconds for moment in explored[:3]] == pytest.approx([0.0, 0.2, 0.4])
+
+
+def test_the_predicted_cost_to_go_of_each_decision_is_shown(tmp_path, monkeypatch, explored):
+    assert explored[0].cost_to_go is None  # frontier exploration predicts nothing
+    site = jax.tree.map(lambda leaf: leaf[0], SITES)
+    robot = made(planner_with("dc2g", RULES, network_in_folder(resource(SHIPPED_NOISY_NETWORK)), patience=ENDLESS))
+    first = reset(jax.random.key(0), (make_pose(9, 2, 2), False), site, robot)
+    drive = list(fleet.moments(first, site, robot, 4.0))
+    for moment in drive:
+        estimates = moment.robot.planner_state.choice.estimates
+        np.testing.assert_allclose(moment.cost_to_go, np.mean(estimates, axis=(0, 1)), rtol=1e-5)
+        predicted = moment.cost_to_go[TRAVERSABLE[moment.robot.terrain]]
+        assert np.isfinite(predicted).all()
+        assert np.ptp(predicted) > 1
+    drawn: list[Figure] = []
+    monkeypatch.setattr(driving_figures, "save_figure", lambda figure, path: drawn.append(figure))
+    driving_figures.plot_moments(tmp_path / "fig9", drive, rows=2, cell_size=1.0)
+    panels = drawn[0].axes[:8]  # a row is camera, map, prediction, and path
+    for moment, panel in zip((drive[0], drive[-1]), panels[2::4], strict=True):
+        ground = TRAVERSABLE[moment.robot.terrain]
+        assert len(np.unique(panel.images[0].get_array()[ground], axis=0)) > 3
 
 
 def test_houses_that_cannot_be_stacked_are_refused():
