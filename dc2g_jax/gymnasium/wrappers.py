@@ -44,7 +44,7 @@ class EgocentricObservation(gymnasium.ObservationWrapper[np.ndarray, np.int64, d
         return np.array(_views(observation, self._radius))
 
 
-class EgocentricVectorObservation(gymnasium.vector.VectorObservationWrapper):
+class EgocentricVectorObservation(gymnasium.vector.VectorWrapper):
     """`FrontDoorVectorEnv` with egocentric observations, including final ones in the infos.
 
     Args:
@@ -61,16 +61,21 @@ class EgocentricVectorObservation(gymnasium.vector.VectorObservationWrapper):
         self.single_observation_space = _space(radius)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
-    def observations(self, observations: Any) -> Float[np.ndarray, "*robots class side side"]:
-        """The egocentric views of observations."""
-        return np.array(_views(observations, self._radius))
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float[np.ndarray, "robots class side side"], dict[str, Any]]:
+        """Begin an episode of every robot."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return np.array(_views(observations, self._radius)), infos
 
-    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[Float[np.ndarray, "robots class side side"], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Take one action of every robot, and begin the next episode where one has ended."""
-        views, rewards, terminated, truncated, infos = super().step(actions)
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for robot in np.flatnonzero(infos.get("_final_obs", ())):
-            infos["final_obs"][robot] = self.observations(infos["final_obs"][robot])
-        return views, rewards, terminated, truncated, infos
+            infos["final_obs"][robot] = np.array(_views(infos["final_obs"][robot], self._radius))
+        return np.array(_views(observations, self._radius)), rewards, terminated, truncated, infos
 
 
 def _space(radius: int) -> spaces.Box:

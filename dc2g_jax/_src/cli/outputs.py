@@ -67,11 +67,7 @@ def number_or_null(value: float) -> float | None:
 
 
 def output_folder(
-    options: Any,
-    command: str,
-    *,
-    free: Collection[str] = (),
-    inputs: Mapping[str, str] | None = None,
+    options: Any, command: str, *, free: Collection[str] = (), inputs: Mapping[str, str] | None = None
 ) -> Path:
     """Make or reopen the output folder, with a `run.json` of the command, all options, versions, commit and time.
 

@@ -118,11 +118,7 @@ def jitter(rng: np.random.Generator, points: Points, amount: float) -> Points:
 
 
 def disc(
-    rng: np.random.Generator,
-    center: npt.ArrayLike,
-    radius: float,
-    unevenness: float = 0.03,
-    corners: int | None = None,
+    rng: np.random.Generator, center: npt.ArrayLike, radius: float, unevenness: float = 0.03, corners: int | None = None
 ) -> Points:
     """A circle as if outlined by hand: a polygon [corners 2], with 10 to 24 corners by default."""
     count = int(rng.integers(10, 25)) if corners is None else corners

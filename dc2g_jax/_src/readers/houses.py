@@ -13,11 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dc2g_jax._src.errors import InputError, check_name, check_number, short
-from dc2g_jax._src.files.class_images import (
-    PALETTE_FILE,
-    read_class_image,
-    read_palette,
-)
+from dc2g_jax._src.files.class_images import PALETTE_FILE, read_class_image, read_palette
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.own_parts import is_own_part, own_part

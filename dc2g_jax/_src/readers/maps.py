@@ -74,11 +74,7 @@ def read_map(
 
 
 def map_from_classes(
-    classes: npt.ArrayLike,
-    *,
-    goals: Sequence[Goal] = (),
-    cells: tuple[int, int] | None = None,
-    name: str = "the array",
+    classes: npt.ArrayLike, *, goals: Sequence[Goal] = (), cells: tuple[int, int] | None = None, name: str = "the array"
 ) -> UInt8[np.ndarray, "h w"]:
     """A map from an array of class indices in memory, like `read_map`. Messages call it `name`."""
     terrain = _with_goals(name, _sampled_with_doors(name, check_classes(name, classes), cells, goals), goals)
