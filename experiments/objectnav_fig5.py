@@ -18,17 +18,17 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.options import require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax.indoor.figures import RecordedSearch, animate_search, plot_prediction, plot_search
 from dc2g_jax.indoor.houses.dataset import indoor_house, indoor_houses
 from dc2g_jax.indoor.maps.classes import GOALS, TARGETS
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
-from dc2g_jax.indoor.moments import choose_legs, moment_of, prediction_at, run_search
-from dc2g_jax.indoor.recording import record_search
 from dc2g_jax.indoor.search.agent import DECLARED
-from dc2g_jax.indoor.search.evaluation import AGENT_TITLES, results_of
+from dc2g_jax.indoor.search.evaluation import results_of
 from dc2g_jax.indoor.search.guides import AgentName, agent_with, estimator_for, true_distance
 from dc2g_jax.indoor.search.searches import Searches, reset, sample_episodes, site_of
-from experiments.support.searches import CostMapOptions, SearchOptions
+from experiments.support.search_figures import RecordedSearch, animate_search, plot_prediction, plot_search
+from experiments.support.search_moments import choose_legs, moment_of, prediction_at, run_search
+from experiments.support.search_recording import record_search
+from experiments.support.searches import AGENT_TITLES, CostMapOptions, SearchOptions
 
 #: Number of moments in the figure.
 _COLUMNS = 5

@@ -28,8 +28,8 @@ from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax.robot.driving.drive import STATUS_NAMES, reset
 from dc2g_jax.robot.driving.fleet import Moment, moments, sites_of
-from dc2g_jax.robot.figures import plot_moments
 from dc2g_jax.robot.recording import MappedFrame, record_camera
+from experiments.support.drive_figures import plot_moments
 from experiments.support.driving import SECONDS_LIMIT, DrivingOptions, equipment
 
 #: Number of moments in the figure.

@@ -19,7 +19,6 @@ from .driving.vehicle import (
     reachable_command as reachable_command,
     wrapped as wrapped,
 )
-from .figures import ROBOT_ARROW as ROBOT_ARROW
 from .mapping.camera import (
     CameraPose as CameraPose,
     Frame as Frame,

@@ -16,9 +16,8 @@ from dc2g_jax.indoor.learning.networks import (
     CostMapArchitecture,
     CostMapNetwork,
 )
-from dc2g_jax.indoor.search.evaluation import METRICS
 from experiments import objectnav_table2
-from experiments.objectnav_table2 import Options, main
+from experiments.objectnav_table2 import METRICS, Options, main
 from experiments.support import searches
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
