@@ -63,7 +63,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), TARGETS.index(episode.target)
-    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), agent, options.limit)
+    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), site, agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 

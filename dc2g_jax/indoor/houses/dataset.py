@@ -17,7 +17,7 @@ from dc2g_jax.indoor.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_p
 from dc2g_jax.indoor.houses.procthor import read_procthor
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
 from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, inflated
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_name, check_number
 
 #: File endings of houses.
 _ENDINGS = (".jsonl.gz", ".jsonl")
@@ -37,11 +37,6 @@ class IndoorHouse(NamedTuple):
     world: IndoorWorld
 
 
-def _check_split(split: str) -> None:
-    if split not in SPLITS:
-        raise InputError(f"no split is called {split!r}; use one of: {', '.join(SPLITS)}")
-
-
 def draw_plan(seed: int, split: str, index: int) -> HousePlan:
     """Draw a furnished house. Every combination of seed, split and index has its own random numbers.
 
@@ -51,9 +46,9 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
     Raises:
       InputError: there is no such split, or a number is negative.
     """
-    _check_split(split)
-    if seed < 0 or index < 0:
-        raise InputError(f"seed {seed}, house {index}: give numbers from 0 on")
+    check_name("split", split, SPLITS)
+    check_number("seed", seed, whole=True, least=0)
+    check_number("house", index, whole=True, least=0)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), index, attempt)))
         layout = draw_layout(rng)
@@ -91,13 +86,17 @@ def indoor_houses(
     Raises:
         InputError: the split, folder or file does not exist, a file is invalid, or it has fewer than `count` houses.
     """
-    _check_split(split)
-    if count is not None and count < 1:
-        raise InputError(f"{count} houses: give a number of at least 1")
+    check_name("split", split, SPLITS)
+    if count is not None:
+        check_number("number of houses", count, whole=True, least=1)
     if location == PROCEDURAL:
         plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
     else:
-        path = _split_file(Path(location), split)
+        paths = [Path(location) / f"{split}{ending}" for ending in _ENDINGS]
+        path = next(filter(Path.is_file, paths), None)
+        if path is None:
+            names = " or ".join(path.name for path in paths)
+            raise InputError(f"{location}: has no {names}; give a folder of ProcTHOR houses")
         plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
@@ -120,31 +119,15 @@ def indoor_house(
         number = name.removeprefix(f"{split}-")
         if not number.isdecimal() or name != f"{split}-{int(number)}":
             raise InputError(
-                f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
-                "on; give one of these, or another --split"
+                f"no procedural house of the split {split} is called {name}; give {split}-0, {split}-1, ..."
             )
         return IndoorHouse(name, world_from_plan(draw_plan(0, split, int(number)), cell_size))
     houses = indoor_houses(location, split, cell_size=cell_size)
     for house in houses:
         if house.name == name:
             return house
-    raise InputError(
-        f"--house {name}: {location} has no such house in its split {split}; give one from {houses[0].name} to "
-        f"{houses[-1].name}"
-    )
-
-
-def _split_file(folder: Path, split: str) -> Path:
-    """The file of a split.
-
-    Raises:
-        InputError: the folder has no file of the split.
-    """
-    paths = [folder / f"{split}{ending}" for ending in _ENDINGS]
-    for path in paths:
-        if path.is_file():
-            return path
-    raise InputError(f"{folder}: has no {' or '.join(path.name for path in paths)}; give a folder of ProcTHOR houses")
+    known = f"{houses[0].name} to {houses[-1].name}"
+    raise InputError(f"{location}: no house of the split {split} is called {name}; give one of {known}")
 
 
 #: Cells of a floor plan's map, and its least number of rooms.

@@ -24,7 +24,7 @@ from dc2g_jax.files import resource
 from dc2g_jax.indoor.learning.midlevel import TrainedEncoder, load_encoder
 from dc2g_jax.indoor.maps.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax.indoor.maps.mapping import MAP_CHANNELS, IndoorMapSettings
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_name, check_number
 
 #: Within the folder of a network, that of the encoder that it was trained with.
 ENCODER_FOLDER = "encoder"
@@ -78,10 +78,8 @@ class CostMapArchitecture:
         if len(self.widths) < 2 or min(self.widths) < 1:
             raise InputError(f"widths {' '.join(map(str, self.widths))}: give at least two, none below 1")
         for name in ("patch", "embedding", "features", "feature_width"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name.replace('_', ' ')} {getattr(self, name)}: give at least 1")
-        if self.inputs not in get_args(Inputs):
-            raise InputError(f"inputs {self.inputs!r}: use one of: {', '.join(get_args(Inputs))}")
+            check_number(name.replace("_", " "), getattr(self, name), whole=True, least=1)
+        check_name("input", self.inputs, get_args(Inputs))
 
 
 @struct.dataclass

@@ -170,12 +170,10 @@ def _true_distance(free: Array, classes: Array, radius: float, cell_size: float)
 
 
 def _exploring(distance: Float[Array, "n n"]) -> Guidance:
-    """Costs that do not lead to an object of the wanted class."""
     return Guidance(distance, jnp.bool_(False))
 
 
 def _around(robot: Searcher, agent: Agent) -> UInt32[Array, "n n"]:
-    """The robot's local map."""
     return window(robot.map, robot.local_middle, agent.mapping.local)
 
 
