@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_name
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect
 from dc2g_jax.indoor.learning.losses import OF_CLASSES
@@ -108,8 +108,7 @@ def prediction_metrics(network: CostMapEstimator, houses: list[IndoorHouse], opt
 
 def main(options: Options) -> None:
     """Search and predict; print and write the table."""
-    if options.agent not in ON_NETWORK:
-        raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
+    check_name("agent on a network", options.agent, ON_NETWORK)
     if options.maps < _MAPS_A_BATCH or options.maps % _MAPS_A_BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)

@@ -19,46 +19,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
-from dc2g_jax.datasets import House, draw_map, open_dataset, sample_starts
+from dc2g_jax import datasets, grid, inspection, planning
 from dc2g_jax.estimation import Estimator, answers_in_cells
 from dc2g_jax.files import PALETTE_FILE, read_palette, write_palette
-from dc2g_jax.grid import (
-    CLASS_NAMES,
-    GRASS,
-    HEADINGS,
-    ROAD,
-    TRAVERSABLE,
-    Belief,
-    World,
-    bitboard,
-    every_heading,
-    gridworld,
-    make_pose,
-    search,
-)
-from dc2g_jax.inspection import (
-    MARK_COLOR,
-    ROBOT_COLOR,
-    SUBGOAL_COLOR,
-    cost_image,
-    first_carry,
-    goal_marks,
-    map_image,
-    score_colors,
-)
-from dc2g_jax.planning import (
-    NETWORK_PLANNERS,
-    SETTINGS,
-    Decision,
-    Planner,
-    RobotPose,
-    Rules,
-    View,
-    assess,
-    decide,
-    planner_with,
-    view_fields,
-)
 from dc2g_jax.runtime import InputError, jit
 
 #: Side length in cells of the map to draw on, and the map size for which marks are one cell large.
@@ -84,26 +47,28 @@ class Moment(NamedTuple):
       decision: the decision.
     """
 
-    pose: RobotPose
+    pose: planning.RobotPose
     seen: Bool[np.ndarray, "h w"]
     cost_to_go: Float[np.ndarray, "h w"] | None
     to_goal: int
-    decision: Decision
+    decision: planning.Decision
 
 
 @functools.partial(jit, static_argnames=("rules",))
-def _advance(carry: tuple[Belief, Any], world: World, planner: Planner, *, rules: Rules) -> tuple[Any, dict[str, Any]]:
+def _advance(
+    carry: tuple[grid.Belief, Any], world: grid.World, planner: planning.Planner, *, rules: planning.Rules
+) -> tuple[Any, dict[str, Any]]:
     """Decide, then act. Returns the input of the next call, and what the planner saw."""
     belief, state = carry
-    assessment, state = assess(planner, belief, state, rules)
-    oracle = search.first_action(belief.pose, every_heading(world.goals), world.traversable)
+    assessment, state = planning.assess(planner, belief, state, rules)
+    oracle = grid.search.first_action(belief.pose, grid.every_heading(world.goals), world.traversable)
     looked = {
         "pose": (belief.pose.x, belief.pose.y, belief.pose.heading),
-        "seen": bitboard.unpack(belief.seen, belief.width),
+        "seen": grid.bitboard.unpack(belief.seen, belief.width),
         "to_goal": jnp.where(oracle.found, oracle.length, -1),
-        "view": view_fields(belief, assessment),
+        "view": planning.view_fields(belief, assessment),
     }
-    return (gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
+    return (grid.gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
 
 
 class Walk:
@@ -116,11 +81,17 @@ class Walk:
       rules: field of view and definition of frontiers.
     """
 
-    def __init__(self, planner: Planner, terrain: UInt8[np.ndarray, "h w"], start: RobotPose, rules: Rules):
+    def __init__(
+        self,
+        planner: planning.Planner,
+        terrain: UInt8[np.ndarray, "h w"],
+        start: planning.RobotPose,
+        rules: planning.Rules,
+    ):
         self.moments: list[Moment] = []
         self.in_cells = answers_in_cells(getattr(planner, "estimator", None))
-        self._planner, self._rules, self._world = planner, rules, World.from_terrain(terrain)
-        self._carry = first_carry(self._world, make_pose(*start), planner, rules=rules)
+        self._planner, self._rules, self._world = planner, rules, grid.World.from_terrain(terrain)
+        self._carry = inspection.first_carry(self._world, grid.make_pose(*start), planner, rules=rules)
 
     @property
     def over(self) -> bool:
@@ -137,9 +108,11 @@ class Walk:
             return
         self._carry, looked = _advance(self._carry, self._world, self._planner, rules=self._rules)
         found = jax.device_get(looked)
-        view = View(*found["view"])
-        pose = RobotPose(*map(int, found["pose"]))
-        self.moments.append(Moment(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), decide(view, 0, 0)))
+        view = planning.View(*found["view"])
+        pose = planning.RobotPose(*map(int, found["pose"]))
+        self.moments.append(
+            Moment(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), planning.decide(view, 0, 0))
+        )
 
     def summary(self, steps: int) -> str:
         """The robot's progress after this many actions, compared with an oracle's, in one line."""
@@ -177,16 +150,16 @@ class Demo:
 
     def __init__(self, maps: dict[str, UInt8[np.ndarray, "h w"]], planners: Sequence[str], estimator: Estimator):
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
-        self.sensing_range = SETTINGS["paper"].sensing_range
-        usual: Any = planner_with("dc2g", self._rules, estimator)
+        self.sensing_range = planning.SETTINGS["paper"].sensing_range
+        usual: Any = planning.planner_with("dc2g", self._rules, estimator)
         self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
         self.walks: dict[str, Walk] = {}
-        self._kept: list[tuple[UInt8[np.ndarray, "h w"], RobotPose]] = []
+        self._kept: list[tuple[UInt8[np.ndarray, "h w"], planning.RobotPose]] = []
         self.choose(next(iter(maps)))
 
     @property
-    def _rules(self) -> Rules:
-        return SETTINGS["paper"].rules(self.sensing_range)
+    def _rules(self) -> planning.Rules:
+        return planning.SETTINGS["paper"].rules(self.sensing_range)
 
     def choose(self, name: str) -> None:
         """Choose a map by name, and a start on it."""
@@ -195,21 +168,25 @@ class Demo:
 
     def blank(self) -> None:
         """Begin an empty map to draw on: grass with a road."""
-        self.terrain = np.full((BLANK_SIDE, BLANK_SIDE), GRASS, np.uint8)
-        self.terrain[-8:-5] = ROAD
+        self.terrain = np.full((BLANK_SIDE, BLANK_SIDE), grid.GRASS, np.uint8)
+        self.terrain[-8:-5] = grid.ROAD
         self.sample_start(0)
 
     def sample_start(self, seed: int) -> None:
         """Place the robot at random where a door can be reached; if there is no such place, on traversable ground."""
-        starts = sample_starts([House("map", "val", self.terrain)], 1, seed=seed)
-        y, x = np.argwhere(TRAVERSABLE[self.terrain])[:1].tolist()[0] if TRAVERSABLE[self.terrain].any() else (0, 0)
-        self.start = RobotPose(*starts[0][1:4]) if starts else RobotPose(x, y, 0)
+        starts = datasets.sample_starts([datasets.House("map", "val", self.terrain)], 1, seed=seed)
+        y, x = (
+            np.argwhere(grid.TRAVERSABLE[self.terrain])[:1].tolist()[0]
+            if grid.TRAVERSABLE[self.terrain].any()
+            else (0, 0)
+        )
+        self.start = planning.RobotPose(*starts[0][1:4]) if starts else planning.RobotPose(x, y, 0)
         self.walks = {}
 
     def place(self, x: int, y: int) -> None:
         """Place the robot on a cell, or turn it right if it is already there."""
         heading = self.start.heading + ((x, y) == self.start[:2])
-        self.start = RobotPose(x, y, heading % HEADINGS)
+        self.start = planning.RobotPose(x, y, heading % grid.HEADINGS)
         self.walks = {}
 
     def paint(self, begin: tuple[int, int], end: tuple[int, int], name: str, width: int) -> None:
@@ -217,15 +194,15 @@ class Demo:
         before, height, columns = (width - 1) // 2, *self.terrain.shape
         count = max(abs(begin[0] - end[0]), abs(begin[1] - end[1])) + 1
         for x, y in np.linspace(begin, end, count).round().astype(int) - before:
-            self.terrain[max(y, 0) : min(y + width, height), max(x, 0) : min(x + width, columns)] = CLASS_NAMES.index(
-                name
+            self.terrain[max(y, 0) : min(y + width, height), max(x, 0) : min(x + width, columns)] = (
+                grid.CLASS_NAMES.index(name)
             )
         self.walks = {}
 
     def fill(self, begin: tuple[int, int], end: tuple[int, int], name: str) -> None:
         """Fill the rectangle between two cells, each given by column and row, with a class."""
         (left, right), (top, bottom) = (sorted(edges) for edges in zip(begin, end, strict=True))
-        self.terrain[top : bottom + 1, left : right + 1] = CLASS_NAMES.index(name)
+        self.terrain[top : bottom + 1, left : right + 1] = grid.CLASS_NAMES.index(name)
         self.walks = {}
 
     def keep(self) -> None:
@@ -256,11 +233,11 @@ class Demo:
             data = zlib.decompressobj().decompress(packed, _MOST_CELLS)
             height, width, x, y, heading = np.frombuffer(data[:10], "<u2").tolist()
             terrain = np.frombuffer(data[10:], np.uint8).reshape(height, width).copy()
-            if terrain.max() >= len(CLASS_NAMES) or x >= width or y >= height or heading >= HEADINGS:
+            if terrain.max() >= len(grid.CLASS_NAMES) or x >= width or y >= height or heading >= grid.HEADINGS:
                 raise ValueError("a number is out of range")
         except (ValueError, zlib.error):
             raise InputError("the address holds no map; copy the whole of it, or draw anew") from None
-        self.terrain, self.start, self.walks = terrain, RobotPose(x, y, heading), {}
+        self.terrain, self.start, self.walks = terrain, planning.RobotPose(x, y, heading), {}
 
     def begin(self) -> None:
         """Put all planners at the start, without a decision.
@@ -269,18 +246,18 @@ class Demo:
           InputError: the start is not traversable, no planner is chosen, or a user's planner cannot be made.
         """
         x, y, _ = self.start
-        if not TRAVERSABLE[self.terrain[y, x]]:
-            what = CLASS_NAMES[self.terrain[y, x]] if self.terrain[y, x] else "unknown"
+        if not grid.TRAVERSABLE[self.terrain[y, x]]:
+            what = grid.CLASS_NAMES[self.terrain[y, x]] if self.terrain[y, x] else "unknown"
             raise InputError(f"the robot's cell ({x}, {y}) is {what!r}, not traversable; place the robot elsewhere")
         if not self.planners:
             raise InputError("no planner is chosen; choose at least one")
         terrain = self.terrain.copy()
         self.walks = {name: Walk(self._planner(name), terrain, self.start, self._rules) for name in self.planners}
 
-    def _planner(self, name: str) -> Planner:
+    def _planner(self, name: str) -> planning.Planner:
         """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
-        planner: Any = planner_with(name, self._rules, self._estimator)
-        if name not in NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
+        planner: Any = planning.planner_with(name, self._rules, self._estimator)
+        if name not in planning.NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
             return planner
         selection = dataclasses.replace(planner.selection, distance_weight=self.distance_weight)
         return dataclasses.replace(planner, selection=selection, gain_weight=self.gain_weight)
@@ -328,14 +305,14 @@ def open_maps(location: str | None) -> dict[str, UInt8[np.ndarray, "h w"]]:
         palette = path.parent / PALETTE_FILE
         if path.suffix.lower() == ".png" and not palette.exists():
             raise InputError(f"{path}: a picture needs a palette; put {palette.name}, columns class,r,g,b, beside it")
-        return {path.stem: draw_map(path, palette=read_palette(palette) if palette.exists() else None)}
-    dataset = open_dataset(location)
+        return {path.stem: datasets.draw_map(path, palette=read_palette(palette) if palette.exists() else None)}
+    dataset = datasets.open_dataset(location)
     return {house.name: house.terrain for house in dataset.split("val") or dataset.houses}
 
 
 def map_picture(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"] | None = None) -> str:
     """The map as a data URL, pale where it has not been observed. `seen`: `None` if all is observed."""
-    return _data_url(map_image(terrain, np.ones(terrain.shape, bool) if seen is None else seen))
+    return _data_url(inspection.map_image(terrain, np.ones(terrain.shape, bool) if seen is None else seen))
 
 
 def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], moment: Moment) -> str:
@@ -345,9 +322,9 @@ def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], moment: Moment) 
     """
     if moment.cost_to_go is None:
         return map_picture(terrain, moment.seen)
-    ground = TRAVERSABLE[terrain]
+    ground = grid.TRAVERSABLE[terrain]
     share = moment.cost_to_go / (max(terrain.shape) if walk.in_cells else 1.0)
-    return _data_url(cost_image(share, moment.seen & ground, moment.seen & ~ground))
+    return _data_url(inspection.cost_image(share, moment.seen & ground, moment.seen & ~ground))
 
 
 def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:
@@ -356,10 +333,10 @@ def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:
     return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def start_marks(terrain: UInt8[np.ndarray, "h w"], start: RobotPose) -> str:
+def start_marks(terrain: UInt8[np.ndarray, "h w"], start: planning.RobotPose) -> str:
     """SVG of the doors and of the robot at the start."""
     size = max(terrain.shape) / _USUAL_SIDE
-    return _doors(terrain, start, size) + _mark(_TRIANGLE, start, 1.2 * size, ROBOT_COLOR, start.heading)
+    return _doors(terrain, start, size) + _mark(_TRIANGLE, start, 1.2 * size, inspection.ROBOT_COLOR, start.heading)
 
 
 def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensing_range: int) -> str:
@@ -369,11 +346,11 @@ def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensin
     decision, pose = moment.decision, moment.pose
     parts = [_field_of_view(pose, sensing_range), _doors(terrain, pose, size)]
     so_far = [past.pose for past in walk.moments[: steps + 1]]
-    parts += [_line(so_far, MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
-    parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, SUBGOAL_COLOR, 0.45 * size)]
+    parts += [_line(so_far, inspection.MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
+    parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, inspection.SUBGOAL_COLOR, 0.45 * size)]
     ranks = np.linspace(0, 1, max(len(decision.candidates), 2))
     by_score = sorted(decision.candidates, key=lambda candidate: candidate.score)
-    for candidate, color in zip(by_score, score_colors(ranks).tolist(), strict=False):
+    for candidate, color in zip(by_score, inspection.score_colors(ranks).tolist(), strict=False):
         cost = "" if candidate.cost_to_go is None else f", predicted cost-to-go {candidate.cost_to_go:.1f}"
         parts.append(
             f'<circle cx="{candidate.x + 0.5}" cy="{candidate.y + 0.5}" r="{0.32 * size:.2f}" fill="rgb{tuple(color)}" '
@@ -381,14 +358,14 @@ def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensin
             f"{candidate.distance} actions away{cost}</title></circle>"
         )
     if decision.mode == "explore" and decision.subgoal is not None:
-        parts.append(_mark(_CROSS, decision.subgoal, 0.9 * size, SUBGOAL_COLOR))
-    parts.append(_mark(_TRIANGLE, pose, 1.2 * size, ROBOT_COLOR, pose.heading))
+        parts.append(_mark(_CROSS, decision.subgoal, 0.9 * size, inspection.SUBGOAL_COLOR))
+    parts.append(_mark(_TRIANGLE, pose, 1.2 * size, inspection.ROBOT_COLOR, pose.heading))
     return "".join(parts)
 
 
-def _doors(terrain: UInt8[np.ndarray, "h w"], robot: RobotPose, size: float) -> str:
-    places, _ = goal_marks(terrain, robot[:2])
-    return "".join(_mark(_STAR, place, 1.3 * size, MARK_COLOR) for place in places)
+def _doors(terrain: UInt8[np.ndarray, "h w"], robot: planning.RobotPose, size: float) -> str:
+    places, _ = inspection.goal_marks(terrain, robot[:2])
+    return "".join(_mark(_STAR, place, 1.3 * size, inspection.MARK_COLOR) for place in places)
 
 
 def _mark(outline: str, cell: Sequence[int], size: float, color: str, turns: int = 0) -> str:
@@ -399,7 +376,7 @@ def _mark(outline: str, cell: Sequence[int], size: float, color: str, turns: int
     )
 
 
-def _line(poses: Sequence[RobotPose], color: str, width: float) -> str:
+def _line(poses: Sequence[planning.RobotPose], color: str, width: float) -> str:
     """A line through the centers of cells."""
     points = " ".join(f"{pose.x + 0.5},{pose.y + 0.5}" for pose in poses)
     return (
@@ -408,7 +385,7 @@ def _line(poses: Sequence[RobotPose], color: str, width: float) -> str:
     )
 
 
-def _field_of_view(pose: RobotPose, sensing_range: int) -> str:
+def _field_of_view(pose: planning.RobotPose, sensing_range: int) -> str:
     """The quarter disk that the robot sees."""
     reach = sensing_range + 0.5
     edge = reach * np.sqrt(0.5)

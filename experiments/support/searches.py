@@ -1,7 +1,6 @@
 """Shared by the experiments with object goals: options, the comparison of agents, means and tables."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
@@ -12,7 +11,7 @@ import tyro
 from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import CommandOptions, output_folder, print_files
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.readers.houses import PROCEDURAL
@@ -75,8 +74,7 @@ class SearchOptions(OutOptions):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.noise < math.inf:
-            raise InputError(f"--noise {self.noise:g}: give a number from 0 on")
+        check_number("--noise", self.noise, least=0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

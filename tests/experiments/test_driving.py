@@ -70,8 +70,8 @@ def test_noise_is_swept_and_a_run_goes_on_where_it_stopped(street, tmp_path, cap
     [
         ({"levels": ()}, ["--levels", "give one at least"]),
         ({"levels": (1.0, -1.0)}, ["--levels 1.0 -1.0", "from 0 on"]),
-        ({"pedestrians": -1}, ["--pedestrians -1", "0 or more"]),
-        ({"image_size": (4, 100)}, ["--image-size 4 100", "8 by 8"]),
+        ({"pedestrians": -1}, ["--pedestrians -1", "at least 0"]),
+        ({"image_size": (4, 100)}, ["--image-size 4", "at least 8"]),
     ],
 )
 def test_options_of_no_use_are_refused(street, tmp_path, options, mentions):
