@@ -14,11 +14,7 @@ from dc2g_jax._src.figures.episode_figures import (
     plot_trajectories as plot_trajectories,
 )
 from dc2g_jax._src.figures.map_figures import plot_map as plot_map
-from dc2g_jax._src.figures.replay import (
-    actions_from_letters as actions_from_letters,
-    first_carry as first_carry,
-    replay as replay,
-)
+from dc2g_jax._src.figures.replay import actions_from_letters as actions_from_letters, replay as replay
 from dc2g_jax._src.figures.results_figures import (
     map_image as map_image,
     planner_style as planner_style,

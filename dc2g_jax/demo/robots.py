@@ -36,7 +36,7 @@ _STAR = "0,-1 .25,-.34 .95,-.31 .4,.13 .59,.81 0,.42 -.59,.81 -.4,.13 -.95,-.31 
 _CROSS = "0,.4 .6,1 1,.6 .4,0 1,-.6 .6,-1 0,-.4 -.6,-1 -1,-.6 -.4,0 -1,.6 -.6,1"
 
 
-class Moment(NamedTuple):
+class Snapshot(NamedTuple):
     """The state of a robot before one of its actions, or at the end.
 
     Attributes:
@@ -72,7 +72,7 @@ def _advance(
 
 
 class Walk:
-    """One planner's episode, decided step by step. All moments are kept.
+    """One planner's episode, decided step by step. All snapshots are kept.
 
     Args:
       planner: the planner.
@@ -88,15 +88,16 @@ class Walk:
         start: planning.RobotPose,
         rules: planning.Rules,
     ):
-        self.moments: list[Moment] = []
+        self.snapshots: list[Snapshot] = []
         self.in_cells = answers_in_cells(getattr(planner, "estimator", None))
         self._planner, self._rules, self._world = planner, rules, grid.World.from_terrain(terrain)
-        self._carry = inspection.first_carry(self._world, grid.make_pose(*start), planner, rules=rules)
+        first = grid.gridworld.reset(self._world, grid.make_pose(*start), rules.sensing)
+        self._carry = first, planner.init(self._world)
 
     @property
     def over(self) -> bool:
         """Whether the robot stands on a door, or the planner gave up."""
-        return bool(self.moments) and self.moments[-1].decision.action is None
+        return bool(self.snapshots) and self.snapshots[-1].decision.action is None
 
     def step(self) -> None:
         """Act on the last decision, and decide again. Does nothing if the episode is over.
@@ -110,23 +111,23 @@ class Walk:
         found = jax.device_get(looked)
         view = planning.View(*found["view"])
         pose = planning.RobotPose(*map(int, found["pose"]))
-        self.moments.append(
-            Moment(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), planning.decide(view, 0, 0))
+        self.snapshots.append(
+            Snapshot(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), planning.decide(view, 0, 0))
         )
 
     def summary(self, steps: int) -> str:
         """The robot's progress after this many actions, compared with an oracle's, in one line."""
-        moment, oracle = self.moments[steps], self.moments[0].to_goal
-        if moment.decision.action is None:
-            done = "reached the door in" if moment.decision.mode == "to_goal" else "gave up after"
+        snapshot, oracle = self.snapshots[steps], self.snapshots[0].to_goal
+        if snapshot.decision.action is None:
+            done = "reached the door in" if snapshot.decision.mode == "to_goal" else "gave up after"
             told = f"{done} {steps} {'step' if steps == 1 else 'steps'}"
         else:
             told = f"step {steps}"
         if oracle < 0:
             return f"{told}; no door can be reached"
-        if moment.to_goal < 0 or oracle == 0:
+        if snapshot.to_goal < 0 or oracle == 0:
             return f"{told}; oracle: {oracle}"
-        return f"{told}: {100 * (steps + moment.to_goal - oracle) / oracle:+.0f} % beyond the oracle ({oracle})"
+        return f"{told}: {100 * (steps + snapshot.to_goal - oracle) / oracle:+.0f} % beyond the oracle ({oracle})"
 
 
 class Demo:
@@ -315,16 +316,16 @@ def map_picture(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]
     return _data_url(inspection.map_image(terrain, np.ones(terrain.shape, bool) if seen is None else seen))
 
 
-def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], moment: Moment) -> str:
+def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], snapshot: Snapshot) -> str:
     """The cost-to-go of observed ground as a data URL; the map if the planner predicts none.
 
     The colors end at the longer side of the map, or at the highest cost if costs are not in cells.
     """
-    if moment.cost_to_go is None:
-        return map_picture(terrain, moment.seen)
+    if snapshot.cost_to_go is None:
+        return map_picture(terrain, snapshot.seen)
     ground = grid.TRAVERSABLE[terrain]
-    share = moment.cost_to_go / (max(terrain.shape) if walk.in_cells else 1.0)
-    return _data_url(inspection.cost_image(share, moment.seen & ground, moment.seen & ~ground))
+    share = snapshot.cost_to_go / (max(terrain.shape) if walk.in_cells else 1.0)
+    return _data_url(inspection.cost_image(share, snapshot.seen & ground, snapshot.seen & ~ground))
 
 
 def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:
@@ -340,12 +341,12 @@ def start_marks(terrain: UInt8[np.ndarray, "h w"], start: planning.RobotPose) ->
 
 
 def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensing_range: int) -> str:
-    """SVG of a moment: field of view, candidates, path so far and planned, subgoal, doors and robot."""
+    """SVG of a snapshot: field of view, candidates, path so far and planned, subgoal, doors and robot."""
     size = max(terrain.shape) / _USUAL_SIDE
-    moment = walk.moments[steps]
-    decision, pose = moment.decision, moment.pose
+    snapshot = walk.snapshots[steps]
+    decision, pose = snapshot.decision, snapshot.pose
     parts = [_field_of_view(pose, sensing_range), _doors(terrain, pose, size)]
-    so_far = [past.pose for past in walk.moments[: steps + 1]]
+    so_far = [past.pose for past in walk.snapshots[: steps + 1]]
     parts += [_line(so_far, inspection.MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
     parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, inspection.SUBGOAL_COLOR, 0.45 * size)]
     ranks = np.linspace(0, 1, max(len(decision.candidates), 2))
@@ -377,7 +378,6 @@ def _mark(outline: str, cell: Sequence[int], size: float, color: str, turns: int
 
 
 def _line(poses: Sequence[planning.RobotPose], color: str, width: float) -> str:
-    """A line through the centers of cells."""
     points = " ".join(f"{pose.x + 0.5},{pose.y + 0.5}" for pose in poses)
     return (
         f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width:.2f}" stroke-linejoin="round" '
@@ -386,7 +386,6 @@ def _line(poses: Sequence[planning.RobotPose], color: str, width: float) -> str:
 
 
 def _field_of_view(pose: planning.RobotPose, sensing_range: int) -> str:
-    """The quarter disk that the robot sees."""
     reach = sensing_range + 0.5
     edge = reach * np.sqrt(0.5)
     outline = f"M0 0L{edge:.2f} {-edge:.2f}A{reach} {reach} 0 0 1 {edge:.2f} {edge:.2f}Z"

@@ -10,25 +10,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax import grid
 from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, Range, first_usable, sampled, uniform
+from dc2g_jax.grid import (
+    BUSH,
+    CAR,
+    DRIVEWAY,
+    FENCE,
+    FREE,
+    FRONT_DOOR,
+    GRASS,
+    HOUSE,
+    PATH,
+    ROAD,
+    SIDEWALK,
+    TRAVERSABLE,
+    TREE,
+    ClassImage,
+    connected_to,
+)
 
 #: Columns and rows of the towns. They are few, since a planner is compiled for each.
-TOWN_SIZES: tuple[tuple[int, int], ...] = (
-    (60, 60),
-    (90, 60),
-    (100, 75),
-    (120, 120),
-    (150, 100),
-    (200, 150),
-    (240, 180),
-    (300, 225),
-)
-
-#: (name, split) of the towns: 100 to choose on and 100 that are kept aside. Their sizes take turns.
-TOWN_SPLIT: tuple[tuple[str, str], ...] = tuple(
-    (f"t{number:03d}", split) for number, split in enumerate(("val",) * 100 + ("test",) * 100)
-)
+TOWN_SIZES = ((60, 60), (90, 60), (100, 75), (120, 120), (150, 100), (200, 150), (240, 180), (300, 225))
 
 #: Cells to a meter, and the least length of a side in meters. The published houses have about 0.8 cells to a meter.
 _SCALES, _SHORTEST_SIDE = (0.5, 0.7, 1.0, 1.4, 2.0), 60
@@ -73,14 +75,14 @@ class _Sketch:
 
     rng: np.random.Generator
     scale: float
-    grid: grid.ClassImage
+    grid: ClassImage
 
-    def part(self, columns: Range, rows: Range) -> grid.ClassImage:
+    def part(self, columns: Range, rows: Range) -> ClassImage:
         """A view of the cells of a rectangle in meters: at least one each way, unless it lies off the map."""
         bounds = ((round(low * self.scale), round(high * self.scale)) for low, high in (rows, columns))
         return self.grid[tuple(slice(max(low, 0), max(high, low + 1, 0)) for low, high in bounds)]
 
-    def fill(self, rectangle: tuple[Range, Range], terrain: int, over: Iterable[int] = (grid.GRASS,)) -> None:
+    def fill(self, rectangle: tuple[Range, Range], terrain: int, over: Iterable[int] = (GRASS,)) -> None:
         """Fill the cells of a rectangle that are of some classes."""
         part = self.part(*rectangle)
         part[np.isin(part, list(over))] = terrain
@@ -89,7 +91,7 @@ class _Sketch:
         """Whether a rectangle lies on the map and is nothing but grass."""
         rows, columns = (length / self.scale for length in self.grid.shape)
         inside = all(low >= 0 and high <= most for (low, high), most in zip(rectangle, (columns, rows), strict=True))
-        return inside and bool(np.all(self.part(*rectangle) == grid.GRASS))
+        return inside and bool(np.all(self.part(*rectangle) == GRASS))
 
 
 def _draw_streets(sketch: _Sketch) -> list[_Side]:
@@ -112,10 +114,7 @@ def _draw_streets(sketch: _Sketch) -> list[_Side]:
                 begin, end = ((begin, crossing), (crossing, end), (begin, end))[rng.integers(3)]
             for outward in (-1, 1):
                 sides.append(_Side(upright, middle, road / 2 + sidewalk, (begin, end), outward))
-    for inner, terrain, over in (
-        (0.0, grid.SIDEWALK, (grid.GRASS,)),
-        (sidewalk, grid.ROAD, (grid.GRASS, grid.SIDEWALK)),
-    ):
+    for inner, terrain, over in ((0.0, SIDEWALK, (GRASS,)), (sidewalk, ROAD, (GRASS, SIDEWALK))):
         for side in sides:
             sketch.fill(side.rectangle(side.length, (-side.half, -inner)), terrain, over)
     return sides
@@ -132,24 +131,22 @@ def _draw_house(sketch: _Sketch, side: _Side) -> tuple[Range, Range] | None:
     right, back = left + wide, setback + deep
     if not sketch.is_free(side.rectangle((left - 4, right + 4), (0.5, back + 1))):
         return None
-    sketch.fill(side.rectangle((left, right), (setback, back)), grid.HOUSE)
+    sketch.fill(side.rectangle((left, right), (setback, back)), HOUSE)
     if rng.random() < 0.4:
         drive = rng.choice([left, right - 3])
-        sketch.fill(side.rectangle((drive, drive + 3), (-0.5, setback)), grid.DRIVEWAY, (grid.GRASS, grid.SIDEWALK))
+        sketch.fill(side.rectangle((drive, drive + 3), (-0.5, setback)), DRIVEWAY, (GRASS, SIDEWALK))
         if rng.random() < 0.4:
-            sketch.fill(
-                side.rectangle((drive + 0.5, drive + 2.5), (setback - 5, setback - 1)), grid.CAR, (grid.DRIVEWAY,)
-            )
+            sketch.fill(side.rectangle((drive + 0.5, drive + 2.5), (setback - 5, setback - 1)), CAR, (DRIVEWAY,))
     walk = uniform(rng, (1, 2))
     if rng.random() < 0.7:
         begin = uniform(rng, (left + 1, right - walk - 1))
         door = side.rectangle((begin, begin + walk), (setback, setback + 1 / sketch.scale))
-        sketch.fill(side.rectangle((begin, begin + walk), (-0.5, setback)), grid.PATH)
+        sketch.fill(side.rectangle((begin, begin + walk), (-0.5, setback)), PATH)
     else:
         turn = uniform(rng, (setback + 1, back - walk - 1))
         door = side.rectangle((right - 1 / sketch.scale, right), (turn, turn + walk))
-        sketch.fill(side.rectangle((right + 1, right + 1 + walk), (-0.5, turn + walk)), grid.PATH)
-        sketch.fill(side.rectangle((right, right + 1 + walk), (turn, turn + walk)), grid.PATH)
+        sketch.fill(side.rectangle((right + 1, right + 1 + walk), (-0.5, turn + walk)), PATH)
+        sketch.fill(side.rectangle((right, right + 1 + walk), (turn, turn + walk)), PATH)
     return door
 
 
@@ -158,7 +155,7 @@ def _draw_walkway(sketch: _Sketch, side: _Side) -> None:
     rng = sketch.rng
     begin, walk, out = uniform(rng, side.length), uniform(rng, (1, 2)), uniform(rng, (4, 30))
     across = rng.choice([0.0, uniform(rng, (-20, 20))])
-    terrain = int(rng.choice([grid.PATH, grid.PATH, grid.FREE, grid.SIDEWALK]))
+    terrain = int(rng.choice([PATH, PATH, FREE, SIDEWALK]))
     sketch.fill(side.rectangle((begin, begin + walk), (-0.5, out)), terrain)
     sketch.fill(
         side.rectangle((min(begin, begin + across), max(begin, begin + across) + walk), (out - walk, out)), terrain
@@ -175,50 +172,41 @@ def _draw_ground(sketch: _Sketch, side: _Side) -> None:
     whole = side.rectangle((left, left + long), (0, deep))
     kind = rng.choice(["park", "park", "parking", "square", "block"])
     if kind == "park":
-        terrain, walk = int(rng.choice([grid.PATH, grid.FREE, grid.SIDEWALK])), uniform(rng, (1, 2.5))
+        terrain, walk = int(rng.choice([PATH, FREE, SIDEWALK])), uniform(rng, (1, 2.5))
         for entrance in rng.uniform(left, left + long - walk, rng.integers(1, 4)):
             sketch.fill(side.rectangle((entrance, entrance + walk), (-0.5, uniform(rng, (deep / 2, deep)))), terrain)
         for row in rng.uniform(2, deep - walk, rng.integers(1, 4)):
             ends = sorted(rng.uniform(left, left + long, 2))
             sketch.fill(side.rectangle((ends[0], ends[1]), (row, row + walk)), terrain)
-        sketch.fill(whole, int(rng.choice([grid.GRASS, grid.TREE, grid.BUSH])))
+        sketch.fill(whole, int(rng.choice([GRASS, TREE, BUSH])))
     elif kind == "parking":
-        sketch.fill(side.rectangle((left, left + long), (3, deep)), grid.DRIVEWAY)
-        sketch.fill(
-            side.rectangle((left + long / 2, left + long / 2 + 5), (-0.5, 3)),
-            grid.DRIVEWAY,
-            (grid.GRASS, grid.SIDEWALK),
-        )
+        sketch.fill(side.rectangle((left, left + long), (3, deep)), DRIVEWAY)
+        sketch.fill(side.rectangle((left + long / 2, left + long / 2 + 5), (-0.5, 3)), DRIVEWAY, (GRASS, SIDEWALK))
         for row in np.arange(6, deep - 5, 12):
-            sketch.fill(side.rectangle((left + 4, left + long - 4), (row, row + 4)), grid.CAR, (grid.DRIVEWAY,))
+            sketch.fill(side.rectangle((left + 4, left + long - 4), (row, row + 4)), CAR, (DRIVEWAY,))
     elif kind == "square":
-        sketch.fill(side.rectangle((left, left + long), (-0.5, deep)), grid.FREE)
-        sketch.fill(
-            side.rectangle((left + long / 3, left + long / 2), (deep / 3, 2 * deep / 3)), grid.HOUSE, (grid.FREE,)
-        )
+        sketch.fill(side.rectangle((left, left + long), (-0.5, deep)), FREE)
+        sketch.fill(side.rectangle((left + long / 3, left + long / 2), (deep / 3, 2 * deep / 3)), HOUSE, (FREE,))
     else:
-        sketch.fill(whole, grid.HOUSE)
+        sketch.fill(whole, HOUSE)
 
 
 def _scatter(sketch: _Sketch) -> None:
-    """Trees, bushes and fences on the grass."""
     rng = sketch.rng
     height, width = (length / sketch.scale for length in sketch.grid.shape)
     for _ in range(rng.integers(0, 10 + int(width * height / 400))):
         x, y = uniform(rng, (0, width)), uniform(rng, (0, height))
-        terrain = int(rng.choice([grid.TREE, grid.TREE, grid.BUSH, grid.FENCE]))
-        across, down = (
-            (1, uniform(rng, (4, 25))) if terrain == grid.FENCE else (uniform(rng, (1, 4)), uniform(rng, (1, 4)))
-        )
+        terrain = int(rng.choice([TREE, TREE, BUSH, FENCE]))
+        across, down = (1, uniform(rng, (4, 25))) if terrain == FENCE else (uniform(rng, (1, 4)), uniform(rng, (1, 4)))
         if rng.random() < 0.5:
             across, down = down, across
         sketch.fill(((x, x + across), (y, y + down)), terrain)
 
 
-def _draw(rng: np.random.Generator, columns: int, rows: int) -> grid.ClassImage | None:
+def _draw(rng: np.random.Generator, columns: int, rows: int) -> ClassImage | None:
     """A town; `None` if it has no house with a walkway, or a door that cannot be reached from the streets."""
     scales = [scale for scale in _SCALES if min(columns, rows) / scale >= _SHORTEST_SIDE]
-    sketch = _Sketch(rng, float(rng.choice(scales)), np.full((rows, columns), grid.GRASS, np.uint8))
+    sketch = _Sketch(rng, float(rng.choice(scales)), np.full((rows, columns), GRASS, np.uint8))
     sides = _draw_streets(sketch)
     area = columns * rows / sketch.scale**2
 
@@ -237,12 +225,12 @@ def _draw(rng: np.random.Generator, columns: int, rows: int) -> grid.ClassImage 
         return None
     count = min(len(doors), int(rng.integers(1, _MOST_DOORS + 1)))
     for number in rng.permutation(len(doors))[:count]:
-        sketch.part(*doors[number])[:] = grid.FRONT_DOOR
-    from_streets = grid.connected_to(sketch.grid == grid.ROAD, grid.TRAVERSABLE[sketch.grid])
-    return sketch.grid if np.all(from_streets[sketch.grid == grid.FRONT_DOOR]) else None
+        sketch.part(*doors[number])[:] = FRONT_DOOR
+    from_streets = connected_to(sketch.grid == ROAD, TRAVERSABLE[sketch.grid])
+    return sketch.grid if np.all(from_streets[sketch.grid == FRONT_DOOR]) else None
 
 
-def draw_town(seed: int, columns: int, rows: int) -> grid.ClassImage:
+def draw_town(seed: int, columns: int, rows: int) -> ClassImage:
     """Draw a town. It depends only on the arguments.
 
     Args:
@@ -264,7 +252,9 @@ def draw_town(seed: int, columns: int, rows: int) -> grid.ClassImage:
 
 @functools.cache
 def towns() -> HouseDataset:
-    """The towns by `TOWN_SPLIT`, each on its own grid."""
-    drawn = (draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)]) for number in range(len(TOWN_SPLIT)))
-    houses = (House(*named, sampled(named[0], town, None)) for named, town in zip(TOWN_SPLIT, drawn, strict=True))
+    """100 towns to choose on, and 100 that are kept aside. Their sizes take turns."""
+    houses = []
+    for number, split in enumerate(["val"] * 100 + ["test"] * 100):
+        town = draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)])
+        houses.append(House(f"t{number:03d}", split, sampled(f"t{number:03d}", town, None)))
     return HouseDataset("towns", PROCEDURAL, tuple(houses))

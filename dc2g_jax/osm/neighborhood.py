@@ -158,7 +158,6 @@ class Neighborhood:
         return square_view(center, self._meters, self._cells)
 
     def _planned_entry(self, building: Area) -> Entry | str:
-        """How a building is entered, or the reason why it is not."""
         view = self._view(building)
         if view is None:
             return "no street is near enough to be on its map"
@@ -201,11 +200,6 @@ class Neighborhood:
         return BuildingMap(*self._extract.degrees(center), classes, added)
 
 
-def extract_files(folder: Path) -> list[Path]:
-    """The OpenStreetMap extracts in a folder, by name."""
-    return sorted(path for ending in EXTRACT_ENDINGS for path in folder.glob(f"*{ending}"))
-
-
 def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset | None:
     """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`; `None` if it has no extracts.
 
@@ -215,7 +209,7 @@ def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset | None:
     Raises:
       InputError: an extract cannot be read, or no building has a street in reach.
     """
-    files = extract_files(Path(folder))
+    files = sorted(path for ending in EXTRACT_ENDINGS for path in Path(folder).glob(f"*{ending}"))
     if not files:
         return None
     houses: list[House] = []
@@ -232,6 +226,5 @@ def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset | None:
 
 
 def _has_beside(line: Line, mapped: spatial.KDTree) -> bool:
-    """Whether mapped sidewalks, as points, run beside a street."""
     distance, _ = mapped.query(resample(line.points, 4.0))
     return bool(np.mean(distance < street_width(line.tags) / 2 + _BESIDE) > 0.3)

@@ -159,7 +159,6 @@ def _number(value: Any, name: str, most: float = _FARTHEST) -> float:
 
 
 def _corners(entry: Any, name: str, least: int) -> Float[np.ndarray, "corner 2"]:
-    """The x and z of a polygon's corners."""
     corners = [[_number(_field(corner, axis), axis) for axis in "xz"] for corner in _list(entry, name)]
     if len(corners) < least:
         raise InputError(f"{name!r} has {len(corners)} corners, less than {least}")
@@ -179,7 +178,6 @@ def _ends(wall: Any) -> Segment:
 
 
 def _opening(door: Any, walls: Mapping[str, Any]) -> Segment:
-    """The segment of wall that a door opens."""
     name = str(_field(door, "wall0"))
     if name not in walls:
         raise InputError(f"door {_field(door, 'id')!r} is in a wall {name!r} that is not there")

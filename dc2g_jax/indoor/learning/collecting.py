@@ -206,7 +206,6 @@ def _distances(
 def _views(
     house: Scene, paint: UInt8[Array, "h w 3"], cells: Int[Array, "n 2"], headings: Float[Array, "n"]
 ) -> CameraView:
-    """What robots' cameras see of one house."""
     return jax.lax.map(lambda pose: view(house, paint, camera_over(*pose, house.tile_size)), (cells, headings))
 
 

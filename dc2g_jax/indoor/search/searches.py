@@ -119,7 +119,6 @@ def _camera_of(robot: IndoorRobot) -> CameraPose:
 
 
 def _estimated(vehicle: VehicleState, drift: PoseDrift) -> VehicleState:
-    """The vehicle at its estimated pose."""
     return dataclasses.replace(vehicle, position=vehicle.position + drift[:2], yaw=vehicle.yaw + drift[2])
 
 
