@@ -16,15 +16,7 @@ from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from dc2g_jax.demo.local_server import OwnOriginOnly
-from dc2g_jax.demo.robots import (
-    Demo,
-    cost_picture,
-    map_picture,
-    open_dropped,
-    open_maps,
-    start_marks,
-    walk_marks,
-)
+from dc2g_jax.demo.robots import Demo, cost_picture, map_picture, open_dropped, open_maps, start_marks, walk_marks
 from dc2g_jax.estimation import Estimator
 from dc2g_jax.grid import FIGURE_COLORS
 from dc2g_jax.inspection import COST_COLORS, MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR, planner_style

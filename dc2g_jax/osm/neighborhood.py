@@ -23,25 +23,8 @@ from dc2g_jax.grid import (
     resize_nearest,
     sample_grid,
 )
-from dc2g_jax.osm._entrances import (
-    Entry,
-    Site,
-    Uses,
-    add_driveway,
-    facades,
-    is_entrance,
-    plan_entry,
-    street_points,
-)
-from dc2g_jax.osm._shapes import (
-    Patch,
-    fill,
-    mapped_shapes,
-    sidewalk_sides,
-    sidewalks,
-    square_view,
-    street_width,
-)
+from dc2g_jax.osm._entrances import Entry, Site, Uses, add_driveway, facades, is_entrance, plan_entry, street_points
+from dc2g_jax.osm._shapes import Patch, fill, mapped_shapes, sidewalk_sides, sidewalks, square_view, street_width
 from dc2g_jax.osm.extract import EXTRACT_ENDINGS, Area, Extract, Line, read_extract
 from dc2g_jax.runtime import InputError
 

@@ -195,10 +195,7 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
     x, y, _ = (low + high) / 2
     size = float(max(high - low)) + settings.reach
     eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=[x, y - 0.9 * size, size],
-        look_target=[x, y, 0],
-        eye_up=[0, 0, 1],
+        kind=rrb.Eye3DKind.Orbital, position=[x, y - 0.9 * size, size], look_target=[x, y, 0], eye_up=[0, 0, 1]
     )
 
     def world(name: str, contents: list[str], so_far: list[str]) -> rrb.Spatial3DView:
@@ -219,10 +216,7 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
     bounds = rrb.VisualBounds2D(x_range=[-0.5, settings.columns + 0.5], y_range=[-0.5, settings.rows + 0.5])
     names = rrb.VisualBounds2D(x_range=[-0.5, 1.5], y_range=[-0.3, len(CLASS_NAMES) + 0.3])
     seen_from_above = rrb.Spatial2DView(
-        origin="/map",
-        name="map as seen from above",
-        visual_bounds=bounds,
-        overrides={"map/robot/path": SO_FAR},
+        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/robot/path": SO_FAR}
     )
     return first_view(
         rrb.Horizontal(

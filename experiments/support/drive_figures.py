@@ -44,7 +44,7 @@ def plot_noise(
     Args:
       path: output path without ending; PNG, SVG and PDF are written.
       levels: levels of noise.
-      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `cli.commands.noisy_mapping`.
+      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `experiments.noisy_mapping`.
       caption: description of drives and houses.
     """
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")

@@ -91,7 +91,7 @@ class DriveResult(NamedTuple):
       y: first row.
       heading: first heading.
       seconds: duration.
-      status: outcome, see `vehicles.drive`; `under way` at the time limit.
+      status: outcome, see `robot.driving.drive`; `under way` at the time limit.
       off_ground: seconds in which the footprint touched forbidden ground.
       touched: seconds in which it touched a pedestrian.
     """

@@ -104,11 +104,7 @@ def indoor_houses(
 
 
 def indoor_house(
-    name: str,
-    location: str | os.PathLike[str] = PROCEDURAL,
-    split: str = "train",
-    *,
-    cell_size: float = PLAN_CELL_SIZE,
+    name: str, location: str | os.PathLike[str] = PROCEDURAL, split: str = "train", *, cell_size: float = PLAN_CELL_SIZE
 ) -> IndoorHouse:
     """The house of a split that has this name.
 

@@ -206,7 +206,9 @@ def _distances(
 def _views(
     house: Scene, paint: UInt8[Array, "h w 3"], cells: Int[Array, "n 2"], headings: Float[Array, "n"]
 ) -> CameraView:
-    return jax.lax.map(lambda pose: view(house, paint, camera_over(*pose, house.tile_size)), (cells, headings))
+    return jax.lax.map(
+        lambda pose: view(house, paint, camera_over(pose[0], pose[1], house.tile_size)), (cells, headings)
+    )
 
 
 def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> tuple:

@@ -68,9 +68,7 @@ def direction_loss(
 
 
 def total_loss(
-    prediction: Prediction,
-    occupied: Bool[Array, "h w"],
-    cost: Float[Array, "h w"],
+    prediction: Prediction, occupied: Bool[Array, "h w"], cost: Float[Array, "h w"]
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
     """The weighted sum of the three losses (equation 4), and each of them."""
     navigable = ~occupied & jnp.isfinite(cost)

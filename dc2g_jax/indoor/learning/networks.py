@@ -196,8 +196,7 @@ class CostMapNetwork(nnx.Module):
         bottleneck = jnp.concatenate([nnx.relu(at), goal, view], axis=-1)
         local = jnp.einsum("bchw,c->bhw", maps[:, :MAP_CHANNELS], self.cell[...])
         return Prediction(
-            occupancy_logits=self.occupancy(bottleneck, skipped) + local,
-            cost=self.cost(bottleneck, skipped),
+            occupancy_logits=self.occupancy(bottleneck, skipped) + local, cost=self.cost(bottleneck, skipped)
         )
 
 
@@ -250,7 +249,7 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
     """Read a trained network and its encoder.
 
     Args:
-      place: output folder of `dc2g train-indoor`, or a place on the Hub, see `estimation.hub.local_folder`; `None`
+      place: output folder of `dc2g train-indoor`, or a place on the Hub, see `estimation.local_folder`; `None`
         for the shipped network.
 
     Raises:
@@ -260,13 +259,9 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
     _, weights, architecture, card = read_network(folder, [COST_MAPS])
     encoder = load_encoder(folder / ENCODER_FOLDER)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
-        raise InputError(
-            f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
-            f"{IndoorMapSettings.cell_size:g} m; train one anew"
-        )
+        sizes = f"{card['cell_size']:g} m, maps here have {IndoorMapSettings.cell_size:g} m"
+        raise InputError(f"{folder}: the network was trained on cells of {sizes}; train one anew")
     if (size := encoder.architecture.features) != architecture.features:
-        raise InputError(
-            f"{folder}: the encoder makes {size} features, the network takes {architecture.features}; take both from "
-            "one folder"
-        )
+        both = f"the encoder makes {size} features, the network takes {architecture.features}"
+        raise InputError(f"{folder}: {both}; take both from one folder")
     return CostMapEstimator(weights=weights, encoder=encoder, architecture=architecture)

@@ -21,14 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax.grid import NoiseLevels
 from dc2g_jax.indoor.learning.networks import CostMapEstimator
 from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, STOP, cost_lookup, dense_costs
-from dc2g_jax.indoor.maps.mapping import (
-    IndoorMap,
-    IndoorMapSettings,
-    empty_map,
-    grid_cell,
-    square,
-    with_frame,
-)
+from dc2g_jax.indoor.maps.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, square, with_frame
 from dc2g_jax.robot import (
     CONTROL_PERIOD,
     DRIVING,

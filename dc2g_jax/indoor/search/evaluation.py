@@ -6,7 +6,7 @@ All metrics refer to the true house:
   Just around the end of a wall counts. A search without declaration in time fails, wherever the robot is.
 - SPL weights success by the length of the shortest path divided by that of the driven path, at most 1. The shortest
   path is that of the fast marching method for a robot with a body, to within 1 m of such an object. It is a few percent
-  too long where it runs across the grid, see `grid.fast_marching`.
+  too long where it runs across the grid, see `grid.geodesic_distance`.
 - DTS, the distance to success, is the length of the remaining path at the end, 0 for a success.
 - Acceleration and jerk are means of absolute values over the control periods of a search, along the path and in turns.
 """

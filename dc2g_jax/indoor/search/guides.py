@@ -135,9 +135,7 @@ def until_seen(explorer: Guide) -> Guide:
 
         distance = jax.lax.cond(jnp.any(goals), to_goals, lambda: jnp.full(goals.shape, jnp.inf, jnp.float32))
         return jax.lax.cond(
-            _begins_here(distance),
-            lambda: Guidance(distance, jnp.bool_(True)),
-            lambda: explorer(robot, image, agent),
+            _begins_here(distance), lambda: Guidance(distance, jnp.bool_(True)), lambda: explorer(robot, image, agent)
         )
 
     return guide

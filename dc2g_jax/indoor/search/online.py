@@ -109,11 +109,7 @@ class OnlineSearcher:
     """
 
     def __init__(
-        self,
-        agent: str | Agent = "promising",
-        *,
-        network: str | Path | None = None,
-        camera: Intrinsics | None = None,
+        self, agent: str | Agent = "promising", *, network: str | Path | None = None, camera: Intrinsics | None = None
     ):
         keep_compiled_programs()
         if isinstance(agent, str):

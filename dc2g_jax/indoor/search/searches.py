@@ -24,7 +24,6 @@ from dc2g_jax.robot import (
     CONTROL_PERIOD,
     CameraPose,
     Ground,
-    PoseDrift,
     Scene,
     VehicleState,
     at_rest,
@@ -79,7 +78,7 @@ class IndoorRobot(Searcher):
     """
 
     true: VehicleState
-    drift: PoseDrift
+    drift: Float[Array, "3"]
     moved: Float[Array, ""]
     collisions: Int[Array, ""]
     track: Float[Array, "time 5"]
@@ -118,7 +117,7 @@ def _camera_of(robot: IndoorRobot) -> CameraPose:
     return camera_pose(x, y, robot.true.yaw)
 
 
-def _estimated(vehicle: VehicleState, drift: PoseDrift) -> VehicleState:
+def _estimated(vehicle: VehicleState, drift: Float[Array, "3"]) -> VehicleState:
     return dataclasses.replace(vehicle, position=vehicle.position + drift[:2], yaw=vehicle.yaw + drift[2])
 
 

@@ -1,7 +1,7 @@
 """The whole loop of one robot: camera -> semantic map -> estimator -> Algorithm 2 -> vehicle (paper, section IV-D).
 
 The vehicle gets a command ten times a second. Every few control periods the robot adds a camera frame to its map. A
-planner of `planning.planners` decides on this map as in the gridworld, from the cell and the quarter turn
+planner of `dc2g_jax.planning` decides on this map as in the gridworld, from the cell and the quarter turn
 nearest to the robot's pose. The vehicle follows the plan until it enters the next cell, reaches the end of the plan, or
 a second is over. Then the planner decides again.
 
@@ -13,7 +13,7 @@ up.
 The vehicle avoids the people that its camera has shown in the last few seconds. What a frame tells of them is exact;
 afterwards they are supposed to walk on as they did.
 
-All functions take one robot; `vehicles.fleet` runs many.
+All functions take one robot; `driving.fleet` runs many.
 """
 
 import dataclasses

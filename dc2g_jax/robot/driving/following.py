@@ -47,7 +47,7 @@ def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike
     Args:
       cells: columns and rows of consecutive cells, at least two. A cell may repeat, where the plan turns in place.
       length: number of cells that count, at least 1.
-      heading: heading of the plan's last pose, as in `grid.poses`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
+      heading: heading of the plan's last pose, as in `grid.Pose`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
       cell_size: side of a cell, meters.
     """
     index = jnp.minimum(jnp.arange(len(cells)), jnp.asarray(length) - 1)

@@ -122,10 +122,7 @@ def empty_map(settings: MapSettings) -> SemanticMap:
     """
     if math.prod(settings.shape) > _MOST_VOXELS:
         raise InputError(f"a map of {settings.shape} has more than {_MOST_VOXELS} voxels; make them larger or fewer")
-    return SemanticMap(
-        log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8),
-        votes=jnp.zeros(settings.shape, _VOTES),
-    )
+    return SemanticMap(log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8), votes=jnp.zeros(settings.shape, _VOTES))
 
 
 def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> SemanticMap:
@@ -162,7 +159,7 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
 def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array, "h w"]:
     """Project the map to the ground: the class index of every cell, as planners take it.
 
-    See `grid.gridworld.belief_from_map`. A cell with an obstacle within the clearance above the ground has the
+    See `grid.belief_from_map`. A cell with an obstacle within the clearance above the ground has the
     class with the most votes among the occupied voxels ("nothing" if none has a label). Any other cell has the class of
     its ground if that has been seen and has a label, else 0 (unknown).
     """

@@ -13,7 +13,7 @@ From the benchmark (Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM S
 Additions:
 
 - `classes.txt` lists class images as `depth.txt` lists depth images, pixel-aligned with them. A class image is an 8-bit
-  grayscale PNG with the class indices of `grid.terrain`, 0 without label. If the folder has a palette,
+  grayscale PNG with the class indices of `grid.CLASS_NAMES`, 0 without label. If the folder has a palette,
   `labels_colors.csv`, class images are color images in its colors instead.
 - `camera.txt` has one line with the intrinsics: focal_x focal_y center_x center_y width height. Images have no
   distortion.
@@ -150,7 +150,7 @@ def read_frame(sequence: ImageSequence, files: _FrameFiles) -> Frame:
     steps = np.array(read_png(files.depth, ("16-bit grayscale",), of_depth, size=size))
     if sequence.palette is None:
         indices = f"class indices of {CAMERA_FILE}'s size, or lay a palette {PALETTE_FILE} beside them"
-        classes = np.array(read_png(files.classes, ("8-bit grayscale",), indices, size=size))
+        classes: Any = np.array(read_png(files.classes, ("8-bit grayscale",), indices, size=size))
     else:
         classes = read_class_image(files.classes, sequence.palette, size=size)
     depth: Any = steps.astype(np.float32) / np.float32(DEPTH_UNITS)
