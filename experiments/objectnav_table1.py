@@ -11,8 +11,9 @@ from typing import Any
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.errors import InputError
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
+from dc2g_jax.indoor.learning.networks import load_costs
 from dc2g_jax.indoor.search.agent import Agent
-from dc2g_jax.indoor.search.guides import AgentName, agent_with, estimator_for
+from dc2g_jax.indoor.search.guides import ON_NETWORK, AgentName, agent_with
 from experiments.support.searches import (
     AGENT_TITLES,
     ComparisonOptions,
@@ -67,9 +68,9 @@ def main(options: Options) -> None:
     """Run the agents; print and write the table."""
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
-    network = estimator_for(options.agents, options.network)
+    network = load_costs(options.network) if {*ON_NETWORK} & {*options.agents} else None
     agents: dict[str, Agent] = {
-        name: agent_with(name, network, options.samples, options.noise) for name in options.agents
+        name: agent_with(name, network, samples=options.samples, noise=options.noise) for name in options.agents
     }
 
     def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:

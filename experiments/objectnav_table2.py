@@ -113,7 +113,8 @@ def main(options: Options) -> None:
         raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     agents = {
-        name: agent_with(options.agent, network, options.samples, options.noise) for name, network in networks.items()
+        name: agent_with(options.agent, network, samples=options.samples, noise=options.noise)
+        for name, network in networks.items()
     }
 
     def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:

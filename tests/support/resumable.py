@@ -210,7 +210,7 @@ def objectnav_table1_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
 def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _tables(patch)
     patch.setattr(objectnav_table2, "open_networks", lambda folders: {"semantic": None, "both": None})
-    patch.setattr(objectnav_table2, "agent_with", lambda *args: AGENT)
+    patch.setattr(objectnav_table2, "agent_with", lambda *args, **options: AGENT)
     metrics = dict.fromkeys((*METRICS, *OF_CLASSES), 50.0)
     patch.setattr(objectnav_table2, "prediction_metrics", lambda *args: metrics)
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))

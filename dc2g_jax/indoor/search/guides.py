@@ -5,7 +5,6 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -41,7 +40,7 @@ from dc2g_jax.indoor.search.agent import (
     with_mpc,
 )
 from dc2g_jax.robot import PAPER_LIKE
-from dc2g_jax.runtime import InputError, jit
+from dc2g_jax.runtime import InputError, check_name, jit
 
 #: The picture of a robot's camera, of robots that take some.
 Image = UInt8[Array, "48 64 3"] | None
@@ -207,33 +206,36 @@ _AGENTS: dict[str, tuple[Guide, Steering]] = {
 }
 
 
-def estimator_for(agents: Iterable[str], place: str | Path | None) -> CostMapEstimator | None:
-    """The network in a place, by default the shipped one, if one of these agents uses a network, else `None`."""
-    return load_costs(place) if set(ON_NETWORK) & set(agents) else None
-
-
 def agent_with(
-    name: str, estimator: CostMapEstimator | None, samples: int = CONTROLLER.samples, noise: float = 0.0
+    name: str,
+    network: CostMapEstimator | str | Path | None = None,
+    *,
+    samples: int = CONTROLLER.samples,
+    noise: float = 0.0,
 ) -> Agent:
     """The agent of this name.
 
     Args:
       name: one of `AgentName`.
-      estimator: the network, for agents that use one.
+      network: network of agents that use one, or its place, see `learning.networks.load_costs`; `None` for the shipped
+        one.
       samples: plans that the controller samples at each step.
       noise: noise level; 0 is no noise, 1 the presumed noise of the DC2G paper's maps.
 
     Raises:
-      InputError: the agent needs a network.
+      InputError: the name is unknown, or the network cannot be read.
     """
-    if name in ON_NETWORK and estimator is None:
-        raise InputError(f"the agent {name} needs a network; give one")
+    check_name("agent", name, _AGENTS)
     guide, steering = _AGENTS[name]
+    if name not in ON_NETWORK:
+        network = None
+    elif not isinstance(network, CostMapEstimator):
+        network = load_costs(network)
     return Agent(
         guide=guide,
         steering=steering,
         camera=indoor_camera(),
-        estimator=estimator if name in ON_NETWORK else None,
+        estimator=network,
         controller=dataclasses.replace(CONTROLLER, samples=samples),
         noise=scaled(PAPER_LIKE, np.float32(noise)),
     )

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax.indoor.maps.camera import VIEW_SIZE, camera_pose
 from dc2g_jax.indoor.maps.classes import TARGETS
 from dc2g_jax.indoor.search.agent import DECLARED, Agent, Searcher, arrives, begin, cost_at, look, steer
-from dc2g_jax.indoor.search.guides import agent_with, estimator_for
+from dc2g_jax.indoor.search.guides import agent_with
 from dc2g_jax.robot import (
     CONTROL_PERIOD,
     DRIVING,
@@ -114,7 +114,7 @@ class OnlineSearcher:
         keep_compiled_programs()
         if isinstance(agent, str):
             check_name("agent for a robot", agent, ONLINE_AGENTS, "or an `Agent` of your own")
-            agent = agent_with(agent, estimator_for([agent], network))
+            agent = agent_with(agent, network)
         self.agent = agent if camera is None else dataclasses.replace(agent, camera=camera)
         image, still = (self.agent.camera.height, self.agent.camera.width), (0.0, 0.0, 0.0)
         frame = Frame(jnp.zeros(image), jnp.zeros(image, jnp.uint8), camera_pose(0.0, 0.0, 0.0))
