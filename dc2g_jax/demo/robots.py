@@ -139,8 +139,6 @@ class Demo:
       estimator: network of planners that use one.
 
     Attributes:
-      maps: see above.
-      planners: see above.
       terrain: the map; it may be changed.
       start: first pose of the robots.
       sensing_range: range of the field of view in cells.

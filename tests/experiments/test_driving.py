@@ -39,7 +39,7 @@ def test_figure_9_shows_and_records_a_drive(street, tmp_path, capsys):
     assert "% are as in the house" in told
     assert {path.name for path in out.iterdir()} == {"fig9.png", "fig9.svg", "fig9.pdf", "fig9.rrd", "run.json"}
     assert (out / "fig9.rrd").stat().st_size > 10_000
-    refusal(lambda: reproduce_fig9.main(dataclasses.replace(options, noise=-1.0)), "--noise -1", "from 0 on")
+    refusal(lambda: reproduce_fig9.main(dataclasses.replace(options, noise=-1.0)), "--noise -1", "at least 0")
 
 
 @pytest.mark.slow

@@ -111,9 +111,7 @@ def _distance_to(cells: Bool[np.ndarray, "h w"], cell_size: float) -> Float[np.n
 def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
     """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
     region = component_numbers(world.fits)
-    sizes = np.bincount(region.ravel())
-    sizes[0] = 0
-    return (region == np.argmax(sizes)) & (region > 0)
+    return (region == np.argmax(np.bincount(region[region > 0], minlength=1))) & (region > 0)
 
 
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:

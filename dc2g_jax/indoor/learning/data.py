@@ -6,8 +6,7 @@ of the symmetries.
 """
 
 import functools
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +52,7 @@ def _relative(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Flo
 #: Functions from distances to costs, by name. The paper only says "normalized". `share` is the closest, as the paper's
 #: figures show costs from green to red in each map, but its scale differs from map to map. `relative` has a
 #: fixed scale, and does not ask for the distance of far goals, about which a partial map says least.
-NORMALIZATIONS: Mapping[str, Normalize] = MappingProxyType({"share": _share, "relative": _relative})
+NORMALIZATIONS: dict[str, Normalize] = {"share": _share, "relative": _relative}
 
 
 @struct.dataclass

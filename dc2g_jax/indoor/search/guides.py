@@ -11,7 +11,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt8, UInt32
+from jaxtyping import Array, Bool, Float, UInt32
 
 from dc2g_jax.grid import FOUR_CONNECTED, geodesic_distance, scaled, shifted, travel_cost
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
@@ -33,6 +33,7 @@ from dc2g_jax.indoor.search.agent import (
     Agent,
     Guidance,
     Guide,
+    Picture,
     Searcher,
     Steering,
     look_around_first,
@@ -42,9 +43,6 @@ from dc2g_jax.indoor.search.agent import (
 from dc2g_jax.robot import PAPER_LIKE
 from dc2g_jax.runtime import InputError, check_name, jit
 
-#: The picture of a robot's camera, of robots that take some.
-Image = UInt8[Array, "48 64 3"] | None
-
 #: Weight of the predicted cost relative to the distance over seen floor.
 _WEIGHT = 2.0
 
@@ -53,7 +51,7 @@ _WEIGHT = 2.0
 _NEAR = 2
 
 
-def true_costs(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def true_costs(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """The exact distance to the nearest object, of an agent that also knows when it has arrived.
 
     The paper's agent with exact costs ends an episode when the goal is visible.
@@ -69,13 +67,13 @@ def true_costs(robot: Searcher, image: Image, agent: Agent) -> Guidance:
     return Guidance(square(agent.true_distance[robot.target], first, side, jnp.inf), jnp.bool_(True))
 
 
-def nowhere(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def nowhere(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """No information, for steering that does not use a guide."""
     del image
     return _exploring(jnp.full_like(robot.costs, jnp.inf))
 
 
-def nearest_frontier(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def nearest_frontier(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """To the nearest unseen floor on the local map, or on the whole map if none is left on the local one.
 
     Small specks of unseen floor count only if nothing else is left.
@@ -94,14 +92,14 @@ def nearest_frontier(robot: Searcher, image: Image, agent: Agent) -> Guidance:
     return _exploring(jax.lax.cond(_begins_here(near), lambda: near, far))
 
 
-def predicted(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def predicted(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """By the costs that a network predicts (section II-B), outside the obstacles seen so far."""
     obstacles = has(_around(robot, agent), OBSTACLE_CHANNEL)
     closed = inflated(obstacles, agent.controller.limits.radius, agent.mapping.cell_size)
     return _exploring(jnp.where(closed, jnp.inf, predicted_costs(robot, image, agent)))
 
 
-def promising_frontier(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def promising_frontier(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """To the unseen floor with the least sum of distance and twice the predicted cost.
 
     This is the rule of this package's `dc2g` planner. The paper's agent instead descends the predicted costs, which
@@ -122,7 +120,7 @@ def until_seen(explorer: Guide) -> Guide:
     Unseen cells count as free. Before, and if there is no path, another guide is used, the explorer.
     """
 
-    def guide(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+    def guide(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
         cells = _around(robot, agent)
         goals = without_specks(has(cells, jnp.asarray(GOALS)[robot.target] - 1))
         obstacles = has(cells, OBSTACLE_CHANNEL)
@@ -140,7 +138,7 @@ def until_seen(explorer: Guide) -> Guide:
     return guide
 
 
-def predicted_costs(robot: Searcher, image: Image, agent: Agent) -> Float[Array, "n n"]:
+def predicted_costs(robot: Searcher, image: Picture, agent: Agent) -> Float[Array, "n n"]:
     """The costs that the agent's network predicts, see `learning.networks.CostMapEstimator.estimate`.
 
     Raises:
