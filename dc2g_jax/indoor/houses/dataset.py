@@ -1,7 +1,9 @@
 """Houses for object search, by split: procedural houses, or houses from ProcTHOR's files."""
 
 import dataclasses
+import itertools
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -126,11 +128,8 @@ def indoor_house(
     raise InputError(f"{location}: no house of the split {split} is called {name}; give one of {known}")
 
 
-#: Cells of a floor plan's map, and its least number of rooms.
-_MAP_CELLS, _FEWEST_ROOMS = 50, 4
-
-#: Floor plans of each split, the first of which are to choose on.
-_MAPS = {"val": 100, "test": 100}
+#: Cells of a floor plan's map, its least number of rooms, and maps of each split, the first of which are to choose on.
+_MAP_CELLS, _FEWEST_ROOMS, _MAPS = 50, 4, 100
 
 
 def floor_plan_dataset(seed: int = 0) -> HouseDataset:
@@ -138,18 +137,17 @@ def floor_plan_dataset(seed: int = 0) -> HouseDataset:
 
     The longer side of a house fills the map. Houses have four rooms at least; the door is a free cell at random.
     """
-    houses: list[House] = []
-    for split, count in _MAPS.items():
-        index = found = 0
-        while found < count:
+
+    def drawn(split: str) -> Iterator[House]:
+        for index in itertools.count():
             plan, rng = draw_plan(seed, split, index), np.random.default_rng([seed, index])
-            index += 1
             if len(plan.rooms) < _FEWEST_ROOMS:
                 continue
             sides = world_from_plan(plan, PLAN_CELL_SIZE).free.shape
             free = world_from_plan(plan, max(sides) * PLAN_CELL_SIZE / _MAP_CELLS + 1e-3).free
             classes = with_door(np.pad(free, [(0, _MAP_CELLS - side) for side in free.shape]), rng)
             if classes is not None:
-                houses.append(House(f"{split}-{index - 1}", split, classes))
-                found += 1
+                yield House(f"{split}-{index}", split, classes)
+
+    houses = (house for split in ("val", "test") for house in itertools.islice(drawn(split), _MAPS))
     return HouseDataset("floor_plans", PROCEDURAL, tuple(houses))
