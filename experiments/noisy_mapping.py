@@ -25,7 +25,7 @@ from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax.robot.driving.drive import Equipment
-from dc2g_jax.robot.figures import plot_noise
+from experiments.support.drive_figures import plot_noise
 from experiments.support.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
 
 

@@ -18,17 +18,17 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.options import require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax.indoor.figures import RecordedSearch, animate_search, plot_prediction, plot_search
 from dc2g_jax.indoor.houses.dataset import indoor_house, indoor_houses
 from dc2g_jax.indoor.maps.classes import GOALS, TARGETS
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
-from dc2g_jax.indoor.moments import choose_legs, moment_of, prediction_at, run_search
-from dc2g_jax.indoor.recording import record_search
 from dc2g_jax.indoor.search.agent import DECLARED
-from dc2g_jax.indoor.search.evaluation import AGENT_TITLES, results_of
-from dc2g_jax.indoor.search.guides import AgentName, agent_with, estimator_for, true_distance
+from dc2g_jax.indoor.search.evaluation import results_of
+from dc2g_jax.indoor.search.guides import AgentName, agent_with, true_distance
 from dc2g_jax.indoor.search.searches import Searches, reset, sample_episodes, site_of
-from experiments.support.searches import CostMapOptions, SearchOptions
+from experiments.support.search_figures import RecordedSearch, animate_search, plot_prediction, plot_search
+from experiments.support.search_moments import choose_legs, moment_of, prediction_at, run_search
+from experiments.support.search_recording import record_search
+from experiments.support.searches import AGENT_TITLES, CostMapOptions, SearchOptions
 
 #: Number of moments in the figure.
 _COLUMNS = 5
@@ -58,12 +58,11 @@ def main(options: Options) -> None:
     else:
         house = indoor_house(options.house, *where, cell_size=cell_size)
     (episode,) = sample_episodes([house], 1, seed=options.seed, target=options.target)
-    network = estimator_for([options.agent], options.network)
-    agent = agent_with(options.agent, network, options.samples, options.noise)
+    agent = agent_with(options.agent, options.network, samples=options.samples, noise=options.noise)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), TARGETS.index(episode.target)
-    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), agent, options.limit)
+    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), site, agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 
@@ -76,7 +75,7 @@ def main(options: Options) -> None:
     search = RecordedSearch(house.world, GOALS[goal], track, every)
     plot_search(out / "fig5", dataclasses.replace(search, moments=moments))
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
-    if network is not None:
+    if agent.estimator is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
         knowing = dataclasses.replace(agent, true_distance=true_distance(house.world, agent))
         prediction = prediction_at(last, site, knowing)

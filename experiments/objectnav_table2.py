@@ -5,27 +5,40 @@ guides the same searches.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_name
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect
 from dc2g_jax.indoor.learning.losses import OF_CLASSES
 from dc2g_jax.indoor.learning.networks import CostMapEstimator, load_costs
 from dc2g_jax.indoor.learning.training import CostMapConfig, figures, validation_samples
-from dc2g_jax.indoor.search.evaluation import (
-    ABLATION_TITLES,
-    METRICS,
-    PAPER_TABLE2,
-    SearchSummary,
-    table2,
-)
 from dc2g_jax.indoor.search.guides import ON_NETWORK, agent_with
-from experiments.support.searches import ComparisonOptions, compare
+from experiments.support.searches import ComparisonOptions, SearchSummary, compare, table
+
+#: Titles of the inputs of a network, see `indoor.learning.networks.Inputs`.
+ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
+
+#: Metrics of the prediction in Table II, in percent.
+METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
+
+#: Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters.
+PAPER_TABLE2: dict[str, dict[str, Any]] = {
+    name: dict(zip(("metrics", "success", "spl", "distance"), line, strict=True))
+    for name, line in {
+        "semantic": ((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
+        "midlevel": ((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
+        "both": ((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
+    }.items()
+}
+
+#: Of these, the paper gives F1 and IoU of each class for its own network alone, in percent (section IV-A).
+_PAPER_OF_CLASSES = (71.08, 80.68, 56.79, 69.06)
 
 #: Partial maps per prediction.
 _MAPS_A_BATCH = CostMapConfig.batch_size
@@ -45,6 +58,25 @@ class Options(ComparisonOptions):
     networks: Annotated[tuple[str | Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
     agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "promising"
     maps: int = 2048
+
+
+def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, SearchSummary]) -> str:
+    """Table II, with the paper's row below each of ours, and then F1 and IoU of free and of occupied cells.
+
+    Args:
+      metrics: `METRICS` and `OF_CLASSES` of each network, given by the name of its inputs, in percent.
+      summaries: the searches that each network led.
+    """
+    rows = [["", *(f"{name} %" for name in METRICS), "success", "SPL", "DTS m"]]
+    of_classes = [["", *(f"{score} %" for score in OF_CLASSES)]]
+    for name, one in summaries.items():
+        ours = [metrics[name][metric] for metric in METRICS], one.success.mean, one.spl.mean, one.distance
+        for title, line in ((ABLATION_TITLES[name], ours), ("the paper's", PAPER_TABLE2[name].values())):
+            percent, success, spl, distance = line
+            rows.append([title, *map("{:.2f}".format, percent), f"{success:.3f}", f"{spl:.3f}", f"{distance:.2f}"])
+        of_classes.append([ABLATION_TITLES[name], *(f"{metrics[name][score]:.2f}" for score in OF_CLASSES)])
+    of_classes.append(["the paper's (both)", *map("{:.2f}".format, _PAPER_OF_CLASSES)])
+    return f"{table(rows, (18, *[7] * 8))}\n\n{table(of_classes, (18, *[14] * len(OF_CLASSES)))}"
 
 
 def open_networks(places: tuple[str | Path, ...]) -> dict[str, CostMapEstimator]:
@@ -76,13 +108,13 @@ def prediction_metrics(network: CostMapEstimator, houses: list[IndoorHouse], opt
 
 def main(options: Options) -> None:
     """Search and predict; print and write the table."""
-    if options.agent not in ON_NETWORK:
-        raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
+    check_name("agent on a network", options.agent, ON_NETWORK)
     if options.maps < _MAPS_A_BATCH or options.maps % _MAPS_A_BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     agents = {
-        name: agent_with(options.agent, network, options.samples, options.noise) for name, network in networks.items()
+        name: agent_with(options.agent, network, samples=options.samples, noise=options.noise)
+        for name, network in networks.items()
     }
 
     def report(houses: list[IndoorHouse], summaries: dict[str, SearchSummary]) -> tuple[str, dict[str, Any]]:

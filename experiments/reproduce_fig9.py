@@ -1,7 +1,6 @@
 """The paper's Fig. 9: a drive from camera to door, `python -m experiments.reproduce_fig9`."""
 
 import dataclasses
-import math
 import sys
 
 import cv2
@@ -20,17 +19,17 @@ from dc2g_jax._src.cli.common import (
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
-from dc2g_jax.robot.driving.drive import STATUS_NAMES, reset
+from dc2g_jax.robot.driving.drive import reset
 from dc2g_jax.robot.driving.fleet import Moment, moments, sites_of
-from dc2g_jax.robot.figures import plot_moments
 from dc2g_jax.robot.recording import MappedFrame, record_camera
-from experiments.support.driving import SECONDS_LIMIT, DrivingOptions, equipment
+from experiments.support.drive_figures import plot_moments
+from experiments.support.driving import SECONDS_LIMIT, STATUS_NAMES, DrivingOptions, equipment
 
 #: Number of moments in the figure.
 _ROWS = 4
@@ -65,8 +64,7 @@ def mapped(moment: Moment) -> MappedFrame:
 
 def main(options: Options) -> None:
     """Drive; write the figure and the recording."""
-    if not 0 <= options.noise < math.inf:
-        raise InputError(f"--noise {options.noise:g}: give a number from 0 on")
+    check_number("--noise", options.noise, least=0)
     check_planners([options.planner])
     dataset = open_dataset(options.dataset)
     if options.house is None:

@@ -18,9 +18,9 @@ from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.rollouts.statistics import Mean
-from dc2g_jax.indoor.search.evaluation import with_interval
 
 from .benchmarks.report import in_short
+from .support.searches import with_interval
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.json"

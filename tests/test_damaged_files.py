@@ -124,7 +124,7 @@ def write_recording(folder: Path) -> None:
 
 def read_recording(folder: Path) -> None:
     sequence = read_sequence(folder)
-    for moment in sequence.moments:
+    for moment in sequence.frames:
         read_frame(sequence, moment)
         read_picture(moment)
 

@@ -9,13 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from dc2g_jax.commands import (
-    DatasetOption,
-    DatasetOptions,
-    NetworkOptions,
-    PlannersOption,
-    check_planners,
-)
+from dc2g_jax.commands import DatasetOption, DatasetOptions, NetworkOptions, PlannersOption, check_planners
 from dc2g_jax.demo.robots import open_maps
 from dc2g_jax.estimation import load_network
 from dc2g_jax.runtime import require_extra

@@ -16,15 +16,7 @@ from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from dc2g_jax.demo.local_server import OwnOriginOnly
-from dc2g_jax.demo.robots import (
-    Demo,
-    cost_picture,
-    map_picture,
-    open_dropped,
-    open_maps,
-    start_marks,
-    walk_marks,
-)
+from dc2g_jax.demo.robots import Demo, cost_picture, map_picture, open_dropped, open_maps, start_marks, walk_marks
 from dc2g_jax.estimation import Estimator
 from dc2g_jax.grid import FIGURE_COLORS
 from dc2g_jax.inspection import COST_COLORS, MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR, planner_style
@@ -140,7 +132,6 @@ class Page:
         ui.timer(0.05, self.restart, once=True)
 
     def _follow(self, link: str) -> None:
-        """Take the map from the address of the page, if it holds one."""
         if link:
             try:
                 self.state.follow(link)
@@ -149,7 +140,6 @@ class Page:
                 ui.notify(str(error), type="negative", multi_line=True)
 
     def _settings(self) -> None:
-        """The drawer: map, planners, sensing range and weights."""
         state = self.state
         self.choice = ui.select(list(state.maps), label="Map", value=next(iter(state.maps)))
         self.choice.classes("w-full").on_value_change(lambda event: self._choose(event.value))
@@ -175,7 +165,6 @@ class Page:
         slider.on("change", lambda event: self._set(name, event.args))
 
     def _watch(self) -> None:
-        """Buttons, a panel per planner, and the legend."""
         ui.label(_TASK).classes("text-sm text-grey-9")
         with ui.row().classes("w-full items-center gap-1"):
             for icon, tip, act in (
@@ -195,7 +184,6 @@ class Page:
         self.legend = ui.html(sanitize=False).classes("text-sm")
 
     def _draw(self) -> None:
-        """Tools and the canvas."""
         with ui.row().classes("w-full items-start gap-4"):
             with ui.column().classes("w-full md:w-72 gap-2"):
                 tools = {"paint": "Paint", "rectangle": "Rectangle", "robot": "Place robot"}
@@ -262,7 +250,6 @@ class Page:
         )
 
     def _make_panels(self) -> None:
-        """One panel for each planner."""
         self.grid.clear()
         self.panels = {}
         with self.grid:
@@ -278,7 +265,7 @@ class Page:
     @property
     def _last(self) -> int:
         """The last step that any planner has decided."""
-        return max((len(walk.moments) for walk in self.state.walks.values()), default=1) - 1
+        return max((len(walk.snapshots) for walk in self.state.walks.values()), default=1) - 1
 
     def show(self, step: int) -> None:
         """Show a step that has been decided. Robots that have arrived stay where they are."""
@@ -288,20 +275,19 @@ class Page:
         terrain = self.state.terrain
         for name, (progress, image, why) in self.panels.items():
             walk = self.state.walks.get(name)
-            if walk is None or not walk.moments:
+            if walk is None or not walk.snapshots:
                 continue
-            at = min(self.shown, len(walk.moments) - 1)
-            moment = walk.moments[at]
+            at = min(self.shown, len(walk.snapshots) - 1)
+            snapshot = walk.snapshots[at]
             image.set_source(
-                cost_picture(walk, terrain, moment) if self.heat.value else map_picture(terrain, moment.seen)
+                cost_picture(walk, terrain, snapshot) if self.heat.value else map_picture(terrain, snapshot.seen)
             )
             image.set_content(walk_marks(walk, terrain, at, self.state.sensing_range))
-            progress.text, why.text = walk.summary(at), moment.decision.why
+            progress.text, why.text = walk.summary(at), snapshot.decision.why
             image.props["aria-label"] = f"Map of {planner_style(name).label}, {progress.text}"
         self.legend.content = self._legend()
 
     def _legend(self) -> str:
-        """HTML of the legend."""
         keys = [(name, f"background:{color}") for name, color in _KEYS.items()]
         keys.append(("candidates: white is best", "background:#fff;border-radius:50%"))
         if self.heat.value:
@@ -319,7 +305,6 @@ class Page:
         self.show(self.shown + 1)
 
     def _toggle(self) -> None:
-        """Play or pause."""
         if self.timer.active:
             self._pause()
         else:
@@ -336,7 +321,6 @@ class Page:
             await self.restart()
 
     async def _changed(self, change: Callable[[], None]) -> None:
-        """Change the state, then restart."""
         change()
         await self.restart()
 
@@ -352,16 +336,13 @@ class Page:
         await self._changed(lambda: self.state.sample_start(int(np.random.default_rng().integers(2**31))))
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
-        """Offer the map of a dropped file, and choose it."""
         data, name = await event.file.read(), event.file.name
         self._offer(await self._work(lambda: open_dropped(name, data)))
 
     async def _open(self, location: str) -> None:
-        """Offer the maps of a folder or file, and choose the first."""
         self._offer(await self._work(lambda: open_maps(location)))
 
     def _offer(self, maps: dict[str, UInt8[np.ndarray, "h w"]] | Literal[False]) -> None:
-        """Offer maps, and choose the first."""
         if maps:
             self.state.maps = maps
             self.choice.value = None  # a map may have the name of the one before
@@ -379,13 +360,11 @@ class Page:
         self._redraw_canvas()
 
     def _save(self) -> None:
-        """Download the map, for other commands."""
         file = io.BytesIO()
         np.save(file, self.state.terrain)
         ui.download.content(file.getvalue(), "map.npy")
 
     def _drawn(self, event: events.MouseEventArguments) -> None:
-        """Paint, or place the robot."""
         height, width = self.state.terrain.shape
         cell = min(max(int(event.image_x), 0), width - 1), min(max(int(event.image_y), 0), height - 1)
         if event.type == "pointerdown":

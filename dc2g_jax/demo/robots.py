@@ -19,46 +19,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
-from dc2g_jax.datasets import House, draw_map, open_dataset, sample_starts
+from dc2g_jax import datasets, grid, inspection, planning
 from dc2g_jax.estimation import Estimator, answers_in_cells
 from dc2g_jax.files import PALETTE_FILE, read_palette, write_palette
-from dc2g_jax.grid import (
-    CLASS_NAMES,
-    GRASS,
-    HEADINGS,
-    ROAD,
-    TRAVERSABLE,
-    Belief,
-    World,
-    bitboard,
-    every_heading,
-    gridworld,
-    make_pose,
-    search,
-)
-from dc2g_jax.inspection import (
-    MARK_COLOR,
-    ROBOT_COLOR,
-    SUBGOAL_COLOR,
-    cost_image,
-    first_carry,
-    goal_marks,
-    map_image,
-    score_colors,
-)
-from dc2g_jax.planning import (
-    NETWORK_PLANNERS,
-    SETTINGS,
-    Decision,
-    Planner,
-    RobotPose,
-    Rules,
-    View,
-    assess,
-    decide,
-    planner_with,
-    view_fields,
-)
 from dc2g_jax.runtime import InputError, jit
 
 #: Side length in cells of the map to draw on, and the map size for which marks are one cell large.
@@ -73,7 +36,7 @@ _STAR = "0,-1 .25,-.34 .95,-.31 .4,.13 .59,.81 0,.42 -.59,.81 -.4,.13 -.95,-.31 
 _CROSS = "0,.4 .6,1 1,.6 .4,0 1,-.6 .6,-1 0,-.4 -.6,-1 -1,-.6 -.4,0 -1,.6 -.6,1"
 
 
-class Moment(NamedTuple):
+class Snapshot(NamedTuple):
     """The state of a robot before one of its actions, or at the end.
 
     Attributes:
@@ -84,30 +47,32 @@ class Moment(NamedTuple):
       decision: the decision.
     """
 
-    pose: RobotPose
+    pose: planning.RobotPose
     seen: Bool[np.ndarray, "h w"]
     cost_to_go: Float[np.ndarray, "h w"] | None
     to_goal: int
-    decision: Decision
+    decision: planning.Decision
 
 
 @functools.partial(jit, static_argnames=("rules",))
-def _advance(carry: tuple[Belief, Any], world: World, planner: Planner, *, rules: Rules) -> tuple[Any, dict[str, Any]]:
+def _advance(
+    carry: tuple[grid.Belief, Any], world: grid.World, planner: planning.Planner, *, rules: planning.Rules
+) -> tuple[Any, dict[str, Any]]:
     """Decide, then act. Returns the input of the next call, and what the planner saw."""
     belief, state = carry
-    assessment, state = assess(planner, belief, state, rules)
-    oracle = search.first_action(belief.pose, every_heading(world.goals), world.traversable)
+    assessment, state = planning.assess(planner, belief, state, rules)
+    oracle = grid.search.first_action(belief.pose, grid.every_heading(world.goals), world.traversable)
     looked = {
         "pose": (belief.pose.x, belief.pose.y, belief.pose.heading),
-        "seen": bitboard.unpack(belief.seen, belief.width),
+        "seen": grid.bitboard.unpack(belief.seen, belief.width),
         "to_goal": jnp.where(oracle.found, oracle.length, -1),
-        "view": view_fields(belief, assessment),
+        "view": planning.view_fields(belief, assessment),
     }
-    return (gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
+    return (grid.gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
 
 
 class Walk:
-    """One planner's episode, decided step by step. All moments are kept.
+    """One planner's episode, decided step by step. All snapshots are kept.
 
     Args:
       planner: the planner.
@@ -116,16 +81,23 @@ class Walk:
       rules: field of view and definition of frontiers.
     """
 
-    def __init__(self, planner: Planner, terrain: UInt8[np.ndarray, "h w"], start: RobotPose, rules: Rules):
-        self.moments: list[Moment] = []
+    def __init__(
+        self,
+        planner: planning.Planner,
+        terrain: UInt8[np.ndarray, "h w"],
+        start: planning.RobotPose,
+        rules: planning.Rules,
+    ):
+        self.snapshots: list[Snapshot] = []
         self.in_cells = answers_in_cells(getattr(planner, "estimator", None))
-        self._planner, self._rules, self._world = planner, rules, World.from_terrain(terrain)
-        self._carry = first_carry(self._world, make_pose(*start), planner, rules=rules)
+        self._planner, self._rules, self._world = planner, rules, grid.World.from_terrain(terrain)
+        first = grid.gridworld.reset(self._world, grid.make_pose(*start), rules.sensing)
+        self._carry = first, planner.init(self._world)
 
     @property
     def over(self) -> bool:
         """Whether the robot stands on a door, or the planner gave up."""
-        return bool(self.moments) and self.moments[-1].decision.action is None
+        return bool(self.snapshots) and self.snapshots[-1].decision.action is None
 
     def step(self) -> None:
         """Act on the last decision, and decide again. Does nothing if the episode is over.
@@ -137,23 +109,25 @@ class Walk:
             return
         self._carry, looked = _advance(self._carry, self._world, self._planner, rules=self._rules)
         found = jax.device_get(looked)
-        view = View(*found["view"])
-        pose = RobotPose(*map(int, found["pose"]))
-        self.moments.append(Moment(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), decide(view, 0, 0)))
+        view = planning.View(*found["view"])
+        pose = planning.RobotPose(*map(int, found["pose"]))
+        self.snapshots.append(
+            Snapshot(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), planning.decide(view, 0, 0))
+        )
 
     def summary(self, steps: int) -> str:
         """The robot's progress after this many actions, compared with an oracle's, in one line."""
-        moment, oracle = self.moments[steps], self.moments[0].to_goal
-        if moment.decision.action is None:
-            done = "reached the door in" if moment.decision.mode == "to_goal" else "gave up after"
+        snapshot, oracle = self.snapshots[steps], self.snapshots[0].to_goal
+        if snapshot.decision.action is None:
+            done = "reached the door in" if snapshot.decision.mode == "to_goal" else "gave up after"
             told = f"{done} {steps} {'step' if steps == 1 else 'steps'}"
         else:
             told = f"step {steps}"
         if oracle < 0:
             return f"{told}; no door can be reached"
-        if moment.to_goal < 0 or oracle == 0:
+        if snapshot.to_goal < 0 or oracle == 0:
             return f"{told}; oracle: {oracle}"
-        return f"{told}: {100 * (steps + moment.to_goal - oracle) / oracle:+.0f} % beyond the oracle ({oracle})"
+        return f"{told}: {100 * (steps + snapshot.to_goal - oracle) / oracle:+.0f} % beyond the oracle ({oracle})"
 
 
 class Demo:
@@ -165,8 +139,6 @@ class Demo:
       estimator: network of planners that use one.
 
     Attributes:
-      maps: see above.
-      planners: see above.
       terrain: the map; it may be changed.
       start: first pose of the robots.
       sensing_range: range of the field of view in cells.
@@ -177,16 +149,16 @@ class Demo:
 
     def __init__(self, maps: dict[str, UInt8[np.ndarray, "h w"]], planners: Sequence[str], estimator: Estimator):
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
-        self.sensing_range = SETTINGS["paper"].sensing_range
-        usual: Any = planner_with("dc2g", self._rules, estimator)
+        self.sensing_range = planning.SETTINGS["paper"].sensing_range
+        usual: Any = planning.planner_with("dc2g", self._rules, estimator)
         self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
         self.walks: dict[str, Walk] = {}
-        self._kept: list[tuple[UInt8[np.ndarray, "h w"], RobotPose]] = []
+        self._kept: list[tuple[UInt8[np.ndarray, "h w"], planning.RobotPose]] = []
         self.choose(next(iter(maps)))
 
     @property
-    def _rules(self) -> Rules:
-        return SETTINGS["paper"].rules(self.sensing_range)
+    def _rules(self) -> planning.Rules:
+        return planning.SETTINGS["paper"].rules(self.sensing_range)
 
     def choose(self, name: str) -> None:
         """Choose a map by name, and a start on it."""
@@ -195,21 +167,25 @@ class Demo:
 
     def blank(self) -> None:
         """Begin an empty map to draw on: grass with a road."""
-        self.terrain = np.full((BLANK_SIDE, BLANK_SIDE), GRASS, np.uint8)
-        self.terrain[-8:-5] = ROAD
+        self.terrain = np.full((BLANK_SIDE, BLANK_SIDE), grid.GRASS, np.uint8)
+        self.terrain[-8:-5] = grid.ROAD
         self.sample_start(0)
 
     def sample_start(self, seed: int) -> None:
         """Place the robot at random where a door can be reached; if there is no such place, on traversable ground."""
-        starts = sample_starts([House("map", "val", self.terrain)], 1, seed=seed)
-        y, x = np.argwhere(TRAVERSABLE[self.terrain])[:1].tolist()[0] if TRAVERSABLE[self.terrain].any() else (0, 0)
-        self.start = RobotPose(*starts[0][1:4]) if starts else RobotPose(x, y, 0)
+        starts = datasets.sample_starts([datasets.House("map", "val", self.terrain)], 1, seed=seed)
+        y, x = (
+            np.argwhere(grid.TRAVERSABLE[self.terrain])[:1].tolist()[0]
+            if grid.TRAVERSABLE[self.terrain].any()
+            else (0, 0)
+        )
+        self.start = planning.RobotPose(*starts[0][1:4]) if starts else planning.RobotPose(x, y, 0)
         self.walks = {}
 
     def place(self, x: int, y: int) -> None:
         """Place the robot on a cell, or turn it right if it is already there."""
         heading = self.start.heading + ((x, y) == self.start[:2])
-        self.start = RobotPose(x, y, heading % HEADINGS)
+        self.start = planning.RobotPose(x, y, heading % grid.HEADINGS)
         self.walks = {}
 
     def paint(self, begin: tuple[int, int], end: tuple[int, int], name: str, width: int) -> None:
@@ -217,15 +193,15 @@ class Demo:
         before, height, columns = (width - 1) // 2, *self.terrain.shape
         count = max(abs(begin[0] - end[0]), abs(begin[1] - end[1])) + 1
         for x, y in np.linspace(begin, end, count).round().astype(int) - before:
-            self.terrain[max(y, 0) : min(y + width, height), max(x, 0) : min(x + width, columns)] = CLASS_NAMES.index(
-                name
+            self.terrain[max(y, 0) : min(y + width, height), max(x, 0) : min(x + width, columns)] = (
+                grid.CLASS_NAMES.index(name)
             )
         self.walks = {}
 
     def fill(self, begin: tuple[int, int], end: tuple[int, int], name: str) -> None:
         """Fill the rectangle between two cells, each given by column and row, with a class."""
         (left, right), (top, bottom) = (sorted(edges) for edges in zip(begin, end, strict=True))
-        self.terrain[top : bottom + 1, left : right + 1] = CLASS_NAMES.index(name)
+        self.terrain[top : bottom + 1, left : right + 1] = grid.CLASS_NAMES.index(name)
         self.walks = {}
 
     def keep(self) -> None:
@@ -256,11 +232,11 @@ class Demo:
             data = zlib.decompressobj().decompress(packed, _MOST_CELLS)
             height, width, x, y, heading = np.frombuffer(data[:10], "<u2").tolist()
             terrain = np.frombuffer(data[10:], np.uint8).reshape(height, width).copy()
-            if terrain.max() >= len(CLASS_NAMES) or x >= width or y >= height or heading >= HEADINGS:
+            if terrain.max() >= len(grid.CLASS_NAMES) or x >= width or y >= height or heading >= grid.HEADINGS:
                 raise ValueError("a number is out of range")
         except (ValueError, zlib.error):
             raise InputError("the address holds no map; copy the whole of it, or draw anew") from None
-        self.terrain, self.start, self.walks = terrain, RobotPose(x, y, heading), {}
+        self.terrain, self.start, self.walks = terrain, planning.RobotPose(x, y, heading), {}
 
     def begin(self) -> None:
         """Put all planners at the start, without a decision.
@@ -269,18 +245,18 @@ class Demo:
           InputError: the start is not traversable, no planner is chosen, or a user's planner cannot be made.
         """
         x, y, _ = self.start
-        if not TRAVERSABLE[self.terrain[y, x]]:
-            what = CLASS_NAMES[self.terrain[y, x]] if self.terrain[y, x] else "unknown"
+        if not grid.TRAVERSABLE[self.terrain[y, x]]:
+            what = grid.CLASS_NAMES[self.terrain[y, x]] if self.terrain[y, x] else "unknown"
             raise InputError(f"the robot's cell ({x}, {y}) is {what!r}, not traversable; place the robot elsewhere")
         if not self.planners:
             raise InputError("no planner is chosen; choose at least one")
         terrain = self.terrain.copy()
         self.walks = {name: Walk(self._planner(name), terrain, self.start, self._rules) for name in self.planners}
 
-    def _planner(self, name: str) -> Planner:
+    def _planner(self, name: str) -> planning.Planner:
         """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
-        planner: Any = planner_with(name, self._rules, self._estimator)
-        if name not in NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
+        planner: Any = planning.planner_with(name, self._rules, self._estimator)
+        if name not in planning.NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
             return planner
         selection = dataclasses.replace(planner.selection, distance_weight=self.distance_weight)
         return dataclasses.replace(planner, selection=selection, gain_weight=self.gain_weight)
@@ -328,26 +304,26 @@ def open_maps(location: str | None) -> dict[str, UInt8[np.ndarray, "h w"]]:
         palette = path.parent / PALETTE_FILE
         if path.suffix.lower() == ".png" and not palette.exists():
             raise InputError(f"{path}: a picture needs a palette; put {palette.name}, columns class,r,g,b, beside it")
-        return {path.stem: draw_map(path, palette=read_palette(palette) if palette.exists() else None)}
-    dataset = open_dataset(location)
+        return {path.stem: datasets.draw_map(path, palette=read_palette(palette) if palette.exists() else None)}
+    dataset = datasets.open_dataset(location)
     return {house.name: house.terrain for house in dataset.split("val") or dataset.houses}
 
 
 def map_picture(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"] | None = None) -> str:
     """The map as a data URL, pale where it has not been observed. `seen`: `None` if all is observed."""
-    return _data_url(map_image(terrain, np.ones(terrain.shape, bool) if seen is None else seen))
+    return _data_url(inspection.map_image(terrain, np.ones(terrain.shape, bool) if seen is None else seen))
 
 
-def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], moment: Moment) -> str:
+def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], snapshot: Snapshot) -> str:
     """The cost-to-go of observed ground as a data URL; the map if the planner predicts none.
 
     The colors end at the longer side of the map, or at the highest cost if costs are not in cells.
     """
-    if moment.cost_to_go is None:
-        return map_picture(terrain, moment.seen)
-    ground = TRAVERSABLE[terrain]
-    share = moment.cost_to_go / (max(terrain.shape) if walk.in_cells else 1.0)
-    return _data_url(cost_image(share, moment.seen & ground, moment.seen & ~ground))
+    if snapshot.cost_to_go is None:
+        return map_picture(terrain, snapshot.seen)
+    ground = grid.TRAVERSABLE[terrain]
+    share = snapshot.cost_to_go / (max(terrain.shape) if walk.in_cells else 1.0)
+    return _data_url(inspection.cost_image(share, snapshot.seen & ground, snapshot.seen & ~ground))
 
 
 def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:
@@ -356,24 +332,24 @@ def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:
     return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def start_marks(terrain: UInt8[np.ndarray, "h w"], start: RobotPose) -> str:
+def start_marks(terrain: UInt8[np.ndarray, "h w"], start: planning.RobotPose) -> str:
     """SVG of the doors and of the robot at the start."""
     size = max(terrain.shape) / _USUAL_SIDE
-    return _doors(terrain, start, size) + _mark(_TRIANGLE, start, 1.2 * size, ROBOT_COLOR, start.heading)
+    return _doors(terrain, start, size) + _mark(_TRIANGLE, start, 1.2 * size, inspection.ROBOT_COLOR, start.heading)
 
 
 def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensing_range: int) -> str:
-    """SVG of a moment: field of view, candidates, path so far and planned, subgoal, doors and robot."""
+    """SVG of a snapshot: field of view, candidates, path so far and planned, subgoal, doors and robot."""
     size = max(terrain.shape) / _USUAL_SIDE
-    moment = walk.moments[steps]
-    decision, pose = moment.decision, moment.pose
+    snapshot = walk.snapshots[steps]
+    decision, pose = snapshot.decision, snapshot.pose
     parts = [_field_of_view(pose, sensing_range), _doors(terrain, pose, size)]
-    so_far = [past.pose for past in walk.moments[: steps + 1]]
-    parts += [_line(so_far, MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
-    parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, SUBGOAL_COLOR, 0.45 * size)]
+    so_far = [past.pose for past in walk.snapshots[: steps + 1]]
+    parts += [_line(so_far, inspection.MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
+    parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, inspection.SUBGOAL_COLOR, 0.45 * size)]
     ranks = np.linspace(0, 1, max(len(decision.candidates), 2))
     by_score = sorted(decision.candidates, key=lambda candidate: candidate.score)
-    for candidate, color in zip(by_score, score_colors(ranks).tolist(), strict=False):
+    for candidate, color in zip(by_score, inspection.score_colors(ranks).tolist(), strict=False):
         cost = "" if candidate.cost_to_go is None else f", predicted cost-to-go {candidate.cost_to_go:.1f}"
         parts.append(
             f'<circle cx="{candidate.x + 0.5}" cy="{candidate.y + 0.5}" r="{0.32 * size:.2f}" fill="rgb{tuple(color)}" '
@@ -381,14 +357,14 @@ def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensin
             f"{candidate.distance} actions away{cost}</title></circle>"
         )
     if decision.mode == "explore" and decision.subgoal is not None:
-        parts.append(_mark(_CROSS, decision.subgoal, 0.9 * size, SUBGOAL_COLOR))
-    parts.append(_mark(_TRIANGLE, pose, 1.2 * size, ROBOT_COLOR, pose.heading))
+        parts.append(_mark(_CROSS, decision.subgoal, 0.9 * size, inspection.SUBGOAL_COLOR))
+    parts.append(_mark(_TRIANGLE, pose, 1.2 * size, inspection.ROBOT_COLOR, pose.heading))
     return "".join(parts)
 
 
-def _doors(terrain: UInt8[np.ndarray, "h w"], robot: RobotPose, size: float) -> str:
-    places, _ = goal_marks(terrain, robot[:2])
-    return "".join(_mark(_STAR, place, 1.3 * size, MARK_COLOR) for place in places)
+def _doors(terrain: UInt8[np.ndarray, "h w"], robot: planning.RobotPose, size: float) -> str:
+    places, _ = inspection.goal_marks(terrain, robot[:2])
+    return "".join(_mark(_STAR, place, 1.3 * size, inspection.MARK_COLOR) for place in places)
 
 
 def _mark(outline: str, cell: Sequence[int], size: float, color: str, turns: int = 0) -> str:
@@ -399,8 +375,7 @@ def _mark(outline: str, cell: Sequence[int], size: float, color: str, turns: int
     )
 
 
-def _line(poses: Sequence[RobotPose], color: str, width: float) -> str:
-    """A line through the centers of cells."""
+def _line(poses: Sequence[planning.RobotPose], color: str, width: float) -> str:
     points = " ".join(f"{pose.x + 0.5},{pose.y + 0.5}" for pose in poses)
     return (
         f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width:.2f}" stroke-linejoin="round" '
@@ -408,8 +383,7 @@ def _line(poses: Sequence[RobotPose], color: str, width: float) -> str:
     )
 
 
-def _field_of_view(pose: RobotPose, sensing_range: int) -> str:
-    """The quarter disk that the robot sees."""
+def _field_of_view(pose: planning.RobotPose, sensing_range: int) -> str:
     reach = sensing_range + 0.5
     edge = reach * np.sqrt(0.5)
     outline = f"M0 0L{edge:.2f} {-edge:.2f}A{reach} {reach} 0 0 1 {edge:.2f} {edge:.2f}Z"

@@ -134,24 +134,11 @@ def plain_maps(kind: str, seed: int = 0) -> list[tuple[str, str, ClassImage]]:
     return maps
 
 
+@functools.cache
 def _dataset(kind: str) -> HouseDataset:
     houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in plain_maps(kind))
     return HouseDataset(kind, PROCEDURAL, tuple(houses))
 
 
-@functools.cache
-def mazes() -> HouseDataset:
-    """The mazes as a dataset."""
-    return _dataset("mazes")
-
-
-@functools.cache
-def halls() -> HouseDataset:
-    """The halls as a dataset."""
-    return _dataset("halls")
-
-
-@functools.cache
-def offices() -> HouseDataset:
-    """The offices as a dataset."""
-    return _dataset("offices")
+#: The datasets of these names.
+mazes, halls, offices = (functools.partial(_dataset, kind) for kind in PLAIN)

@@ -30,21 +30,7 @@ from dc2g_jax.grid import (
 )
 
 #: Columns and rows of the towns. They are few, since a planner is compiled for each.
-TOWN_SIZES: tuple[tuple[int, int], ...] = (
-    (60, 60),
-    (90, 60),
-    (100, 75),
-    (120, 120),
-    (150, 100),
-    (200, 150),
-    (240, 180),
-    (300, 225),
-)
-
-#: (name, split) of the towns: 100 to choose on and 100 that are kept aside. Their sizes take turns.
-TOWN_SPLIT: tuple[tuple[str, str], ...] = tuple(
-    (f"t{number:03d}", split) for number, split in enumerate(("val",) * 100 + ("test",) * 100)
-)
+TOWN_SIZES = ((60, 60), (90, 60), (100, 75), (120, 120), (150, 100), (200, 150), (240, 180), (300, 225))
 
 #: Cells to a meter, and the least length of a side in meters. The published houses have about 0.8 cells to a meter.
 _SCALES, _SHORTEST_SIDE = (0.5, 0.7, 1.0, 1.4, 2.0), 60
@@ -206,7 +192,6 @@ def _draw_ground(sketch: _Sketch, side: _Side) -> None:
 
 
 def _scatter(sketch: _Sketch) -> None:
-    """Trees, bushes and fences on the grass."""
     rng = sketch.rng
     height, width = (length / sketch.scale for length in sketch.grid.shape)
     for _ in range(rng.integers(0, 10 + int(width * height / 400))):
@@ -267,7 +252,9 @@ def draw_town(seed: int, columns: int, rows: int) -> ClassImage:
 
 @functools.cache
 def towns() -> HouseDataset:
-    """The towns by `TOWN_SPLIT`, each on its own grid."""
-    drawn = (draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)]) for number in range(len(TOWN_SPLIT)))
-    houses = (House(*named, sampled(named[0], town, None)) for named, town in zip(TOWN_SPLIT, drawn, strict=True))
+    """100 towns to choose on, and 100 that are kept aside. Their sizes take turns."""
+    houses = []
+    for number, split in enumerate(["val"] * 100 + ["test"] * 100):
+        town = draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)])
+        houses.append(House(f"t{number:03d}", split, sampled(f"t{number:03d}", town, None)))
     return HouseDataset("towns", PROCEDURAL, tuple(houses))

@@ -13,7 +13,7 @@ import numpy as np
 
 from dc2g_jax.datasets import Points
 from dc2g_jax.files import check_file
-from dc2g_jax.runtime import InputError, require_extra
+from dc2g_jax.runtime import InputError, check_number, require_extra
 
 #: What the license of the data asks to be named.
 ATTRIBUTION = "(c) OpenStreetMap contributors, Open Database License (https://www.openstreetmap.org/copyright)"
@@ -146,8 +146,8 @@ def read_extract(path: Path, around: tuple[float, float] | None = None, reach: f
     require_extra("osmium")
     if not path.name.lower().endswith(EXTRACT_ENDINGS):
         raise InputError(f"{path}: is no OpenStreetMap extract; give a file that ends in {', '.join(EXTRACT_ENDINGS)}")
-    if around is not None and not (abs(around[0]) < 89 and abs(around[1]) <= 180):
-        raise InputError(f"--around {around[0]:g} {around[1]:g}: give a latitude and a longitude, in degrees")
+    for name, degrees, most in zip(("latitude", "longitude"), around or (), (89, 180), strict=False):
+        check_number(f"--around, {name}", degrees, least=-most, most=most, hint="degrees")
     check_file(path, "give an OpenStreetMap extract")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: is empty; download the extract again")
@@ -213,7 +213,6 @@ class _Reader:
                 self.areas.append(area)
 
     def _in_reach(self, points: Points) -> bool:
-        """Whether the box around points [n 2] reaches into the one around the center."""
         if self._box is None:
             return True
         beyond = np.maximum(points.min(axis=0) - self._box[0], self._box[0] - points.max(axis=0))
@@ -239,7 +238,6 @@ def _meters_a_degree(latitude: float) -> Points:
 
 
 def _projected(reader: _Reader, around: tuple[float, float] | None) -> Extract:
-    """What has been read, in meters around a center."""
     if around is None:
         drawn = [line.points for line in reader.lines] + [area.corners for area in reader.areas]
         points = np.concatenate(drawn or [np.zeros((1, 2))])

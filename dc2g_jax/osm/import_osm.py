@@ -15,7 +15,7 @@ from dc2g_jax.files import write_class_image, write_palette, write_table
 from dc2g_jax.grid import DRIVEWAY, FRONT_DOOR, PATH, SIDEWALK, sample_grid
 from dc2g_jax.osm.extract import ATTRIBUTION, read_extract
 from dc2g_jax.osm.neighborhood import Neighborhood
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_number
 
 #: Files beside the maps.
 _MAPS_FILE, _LEFT_OUT_FILE, _ATTRIBUTION_FILE, _ADDED_FOLDER = "maps.csv", "left_out.csv", "ATTRIBUTION.txt", "added"
@@ -52,10 +52,8 @@ class Options(CommandOptions):
 
 def main(options: Options) -> None:
     """Read the extract, write a map of each building, and say which were left out."""
-    if not 20 <= options.meters <= 1000:
-        raise InputError(f"--meters {options.meters:g}: give the side of a map, 20 to 1000 meters")
-    if not 10 <= options.cells <= 2000:
-        raise InputError(f"--cells {options.cells}: give columns and rows, 10 to 2000")
+    check_number("--meters", options.meters, least=20, most=1000, hint="meters")
+    check_number("--cells", options.cells, whole=True, least=10, most=2000)
     extract = read_extract(options.extract, options.around, 2 * options.meters)
     neighborhood = Neighborhood(
         extract,

@@ -23,25 +23,8 @@ from dc2g_jax.grid import (
     resize_nearest,
     sample_grid,
 )
-from dc2g_jax.osm._entrances import (
-    Entry,
-    Site,
-    Uses,
-    add_driveway,
-    facades,
-    is_entrance,
-    plan_entry,
-    street_points,
-)
-from dc2g_jax.osm._shapes import (
-    Patch,
-    fill,
-    mapped_shapes,
-    sidewalk_sides,
-    sidewalks,
-    square_view,
-    street_width,
-)
+from dc2g_jax.osm._entrances import Entry, Site, Uses, add_driveway, facades, is_entrance, plan_entry, street_points
+from dc2g_jax.osm._shapes import Patch, fill, mapped_shapes, sidewalk_sides, sidewalks, square_view, street_width
 from dc2g_jax.osm.extract import EXTRACT_ENDINGS, Area, Extract, Line, read_extract
 from dc2g_jax.runtime import InputError
 
@@ -158,7 +141,6 @@ class Neighborhood:
         return square_view(center, self._meters, self._cells)
 
     def _planned_entry(self, building: Area) -> Entry | str:
-        """How a building is entered, or the reason why it is not."""
         view = self._view(building)
         if view is None:
             return "no street is near enough to be on its map"
@@ -201,11 +183,6 @@ class Neighborhood:
         return BuildingMap(*self._extract.degrees(center), classes, added)
 
 
-def extract_files(folder: Path) -> list[Path]:
-    """The OpenStreetMap extracts in a folder, by name."""
-    return sorted(path for ending in EXTRACT_ENDINGS for path in folder.glob(f"*{ending}"))
-
-
 def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset | None:
     """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`; `None` if it has no extracts.
 
@@ -215,7 +192,7 @@ def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset | None:
     Raises:
       InputError: an extract cannot be read, or no building has a street in reach.
     """
-    files = extract_files(Path(folder))
+    files = sorted(path for ending in EXTRACT_ENDINGS for path in Path(folder).glob(f"*{ending}"))
     if not files:
         return None
     houses: list[House] = []
@@ -232,6 +209,5 @@ def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset | None:
 
 
 def _has_beside(line: Line, mapped: spatial.KDTree) -> bool:
-    """Whether mapped sidewalks, as points, run beside a street."""
     distance, _ = mapped.query(resample(line.points, 4.0))
     return bool(np.mean(distance < street_width(line.tags) / 2 + _BESIDE) > 0.3)

@@ -1,6 +1,8 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
 from .driving import mppi as mppi
+from .driving.drive import Equipment as Equipment
+from .driving.fleet import drive_all as drive_all, sites_of as sites_of
 from .driving.footprint import Ground as Ground, cell_at as cell_at
 from .driving.mppi import CostOfPose as CostOfPose, MPPISettings as MPPISettings
 from .driving.robot import (
@@ -19,7 +21,6 @@ from .driving.vehicle import (
     reachable_command as reachable_command,
     wrapped as wrapped,
 )
-from .figures import ROBOT_ARROW as ROBOT_ARROW
 from .mapping.camera import (
     CameraPose as CameraPose,
     Frame as Frame,
@@ -32,12 +33,12 @@ from .mapping.camera import (
 )
 from .mapping.noise import (
     PAPER_LIKE as PAPER_LIKE,
-    PoseDrift as PoseDrift,
     drift_on as drift_on,
     drifted as drifted,
     noisy_frame as noisy_frame,
 )
 from .mapping.scene import Scene as Scene, scene_from_heights as scene_from_heights
+from .mapping.semantic_map import MapSettings as MapSettings
 from .mapping.simulator import cast_all as cast_all, classes_of as classes_of, render as render
 
 COMMANDS: dict[str, tuple[str, str]]

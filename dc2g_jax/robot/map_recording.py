@@ -1,7 +1,6 @@
 """Map a recorded sequence of depth images: `dc2g map recording --sequence FOLDER`."""
 
 import dataclasses
-import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -10,15 +9,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.commands import (
-    DatasetOptions,
-    ImageSizeOption,
-    OutOptions,
-    StartOption,
-    output_folder,
-    print_files,
-    start_in,
-)
+from dc2g_jax import commands
 from dc2g_jax.datasets import open_dataset
 from dc2g_jax.estimation import world_cost_to_go
 from dc2g_jax.grid import UNKNOWN, World, make_pose
@@ -30,11 +21,11 @@ from dc2g_jax.robot.mapping.semantic_map import MapSettings
 from dc2g_jax.robot.mapping.simulated_drives import path_to_goal, simulated_shots
 from dc2g_jax.robot.mapping.simulator import FIELD_OF_VIEW
 from dc2g_jax.robot.recording import record_mapping
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_number
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, OutOptions):
+class Options(commands.DatasetOptions, commands.OutOptions):
     """Map a recorded sequence of depth and class images: writes the map, a figure and a rerun recording.
 
     Attributes:
@@ -53,9 +44,9 @@ class Options(DatasetOptions, OutOptions):
 
     sequence: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     simulate: Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")] = None
-    start: StartOption = None
+    start: commands.StartOption = None
     seed: int = 0
-    image_size: ImageSizeOption = (160, 120)
+    image_size: commands.ImageSizeOption = (160, 120)
     cell_size: float = CELL_SIZE
     reach: float = 10.0
     ground: float = 0.0
@@ -65,23 +56,21 @@ def main(options: Options) -> None:
     """Simulate or read the sequence, map it, draw and write the map."""
     if (options.sequence is None) == (options.simulate is None):
         raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
-    for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{option} {value:g}: give meters, above 0")
-    if not math.isfinite(options.ground):
-        raise InputError(f"--ground {options.ground:g}: give meters")
-    if min(options.image_size) < 1:
-        raise InputError(f"--image-size {options.image_size[0]} {options.image_size[1]}: give pixels, at least 1")
+    check_number("--cell-size", options.cell_size, above=0, hint="meters")
+    check_number("--reach", options.reach, above=0, hint="meters")
+    check_number("--ground", options.ground, hint="meters")
+    for pixels in options.image_size:
+        check_number("--image-size", pixels, whole=True, least=1)
     house = None
     if options.sequence is not None:
         folder = options.sequence
         sequence = sequences.moved(sequences.read_sequence(folder), np.array([0, 0, -options.ground]))
         sequence, settings = sequences.covered(sequence, options.cell_size, options.reach)
-        out = output_folder(options, "map_recording")
+        out = commands.output_folder(options, "map_recording")
     elif options.simulate is not None:
         house = open_dataset(options.dataset).house(options.simulate)
-        start = start_in(house.name, house, options.start, options.seed)
-        out = output_folder(options, "map_recording")
+        start = commands.start_in(house.name, house, options.start, options.seed)
+        out = commands.output_folder(options, "map_recording")
         folder = out / "sequence"
         camera = intrinsics(FIELD_OF_VIEW, options.image_size[1], options.image_size[0])
         path = path_to_goal(house.terrain, make_pose(start.x, start.y, start.heading))
@@ -94,7 +83,7 @@ def main(options: Options) -> None:
     name = folder.name if house is None else house.name
     terrain, wrong = record_mapping(out / "recording.rrd", sequence, settings, name)
     np.save(out / "map.npy", terrain)
-    title = f"{name}: {len(sequence.moments) - wrong} frames, {settings.columns} x {settings.rows} cells"
+    title = f"{name}: {len(sequence.frames) - wrong} frames, {settings.columns} x {settings.rows} cells"
     plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(World.from_terrain(terrain))))
     known = terrain != UNKNOWN
     print(f"{title}; {np.sum(known):,} cells known")
@@ -102,4 +91,4 @@ def main(options: Options) -> None:
         print(f"depth images without class image or pose: {sequence.skipped}; frames that were left out: {wrong}")
     if house is not None and np.any(known):
         print(f"of the known cells, {100 * np.mean((terrain == house.terrain)[known]):.1f} % are as in the house")
-    print_files(out)
+    commands.print_files(out)

@@ -20,11 +20,11 @@ from dc2g_jax.inspection import (
     SO_FAR,
     first_view,
     image_style,
-    legend,
     open_recording,
     send,
     send_images,
     send_track,
+    terrain_context,
 )
 from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics, points
 from dc2g_jax.robot.mapping.semantic_map import MapSettings, SemanticMap, check_frame, empty_map, integrate, terrain_map
@@ -39,6 +39,8 @@ _POINTS, _FEWEST_POINTS = 200_000, 200
 
 #: Drawn size of a voxel relative to its true size: the gaps separate neighbors.
 _DRAWN = 0.94
+
+_PATH_COLOR, _BACKGROUND = (235, 30, 30), (120, 120, 128)
 
 #: Entities. Images are children of the camera, so that they are shown in the world as well.
 _CAMERA, _IMAGE = "world/camera", "world/camera/image"
@@ -122,7 +124,7 @@ def _describe(stream: rr.RecordingStream, camera: Intrinsics, settings: MapSetti
     """Send static data: colors, frames of reference, the camera, and styles."""
     style = functools.partial(stream.log, static=True)
     style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    style("world", legend.terrain_context())
+    style("world", terrain_context())
     pinhole = rr.Pinhole(
         focal_length=[camera.focal_x, camera.focal_y],
         principal_point=[camera.center_x, camera.center_y],
@@ -136,9 +138,9 @@ def _describe(stream: rr.RecordingStream, camera: Intrinsics, settings: MapSetti
     style(_DEPTH, rr.DepthImage.from_fields(format=steps, meter=DEPTH_UNITS, colormap="Turbo", depth_range=reach))
     style("world/points", rr.Points3D.from_fields(radii=-2.0))
     style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
-    style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
+    style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=_PATH_COLOR))
     for image in (_CLASSES, "map", "legend"):
-        image_style(stream, image, legend.terrain_context(), 0)
+        image_style(stream, image, terrain_context(), 0)
     classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
     style("legend", rr.SegmentationImage(classes[:, None]))
     places = np.stack([0 * classes + 0.5, classes + 0.3], axis=1)
@@ -193,10 +195,7 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
     x, y, _ = (low + high) / 2
     size = float(max(high - low)) + settings.reach
     eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=[x, y - 0.9 * size, size],
-        look_target=[x, y, 0],
-        eye_up=[0, 0, 1],
+        kind=rrb.Eye3DKind.Orbital, position=[x, y - 0.9 * size, size], look_target=[x, y, 0], eye_up=[0, 0, 1]
     )
 
     def world(name: str, contents: list[str], so_far: list[str]) -> rrb.Spatial3DView:
@@ -205,7 +204,7 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
             contents=["/world/path", f"/{_CAMERA}", f"/{_IMAGE}", *contents],
             name=name,
             eye_controls=eye,
-            background=legend.FRAME_COLOR,
+            background=_BACKGROUND,
             line_grid=False,
             overrides=dict.fromkeys(("world/path", *so_far), SO_FAR),
         )
@@ -255,16 +254,16 @@ def record_mapping(
 
     def mapped() -> Iterator[MappedFrame]:
         voxels = empty_map(settings)
-        for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
-            frame = read_frame(sequence, moment)
+        for files in tqdm(sequence.frames, desc="mapping", unit="frame", file=sys.stderr):
+            frame = read_frame(sequence, files)
             try:
                 check_frame(frame, settings)
             except InputError as error:
-                tqdm.write(f"left out {moment.depth}: {error}", file=sys.stderr)
+                tqdm.write(f"left out {files.depth}: {error}", file=sys.stderr)
                 continue
             voxels = take(voxels, frame, sequence.intrinsics, settings)
             terrain, after = jax.device_get((read(voxels, settings), voxels))
-            yield MappedFrame(frame, read_picture(moment), after, terrain)
+            yield MappedFrame(frame, read_picture(files), after, terrain)
 
-    path = np.stack([moment.pose.position for moment in sequence.moments])
+    path = np.stack([files.pose.position for files in sequence.frames])
     return record_camera(file, mapped(), camera=sequence.intrinsics, settings=settings, path=path, name=name)

@@ -2,13 +2,13 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from dc2g_jax._src.cli.common import ImageSizeOption
 from dc2g_jax._src.cli.outputs import CommandOptions
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.label_noise import scaled
 from dc2g_jax._src.grid.sensing import line_of_sight
@@ -20,7 +20,7 @@ from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
-from dc2g_jax.robot.driving.drive import ARRIVED, STATUS_NAMES, Equipment, StatusName
+from dc2g_jax.robot.driving.drive import ARRIVED, Equipment
 from dc2g_jax.robot.driving.fleet import drive_all, sites_of
 from dc2g_jax.robot.driving.vehicle import VehicleLimits
 from dc2g_jax.robot.mapping.camera import intrinsics
@@ -30,6 +30,10 @@ from dc2g_jax.robot.mapping.semantic_map import MapSettings
 
 #: Sensing range that the planner assumes, in cells, and field of view of the camera.
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
+
+#: Names of `DRIVING`, `ARRIVED` and `NOTHING_LEFT` in tables.
+StatusName = Literal["under_way", "arrived", "nothing_left"]
+STATUS_NAMES: tuple[StatusName, ...] = get_args(StatusName)
 
 #: Seconds after which an episode ends without success: one per gridworld step of the published maps' step limit.
 SECONDS_LIMIT = 500.0
@@ -48,10 +52,9 @@ class DrivingOptions(CommandOptions):
     image_size: ImageSizeOption = (160, 120)
 
     def __post_init__(self) -> None:
-        if self.pedestrians < 0:
-            raise InputError(f"--pedestrians {self.pedestrians}: give 0 or more")
-        if min(self.image_size) < 8:
-            raise InputError(f"--image-size {self.image_size[0]} {self.image_size[1]}: give at least 8 by 8 pixels")
+        check_number("--pedestrians", self.pedestrians, whole=True, least=0)
+        for pixels in self.image_size:
+            check_number("--image-size", pixels, whole=True, least=8, hint="pixels")
 
 
 def equipment(
@@ -88,7 +91,7 @@ class DriveResult(NamedTuple):
       y: first row.
       heading: first heading.
       seconds: duration.
-      status: outcome, see `vehicles.drive`; `under way` at the time limit.
+      status: outcome, see `robot.driving.drive`; `under way` at the time limit.
       off_ground: seconds in which the footprint touched forbidden ground.
       touched: seconds in which it touched a pedestrian.
     """

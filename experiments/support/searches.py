@@ -1,34 +1,37 @@
-"""Shared by the commands for object goals: options, and the comparison of agents."""
+"""Shared by the experiments with object goals: options, the comparison of agents, means and tables."""
 
 import dataclasses
-import math
 import time
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 import tyro
 
 from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import CommandOptions, output_folder, print_files
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.rollouts.statistics import Mean, house_bootstrap
 from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
 from dc2g_jax.indoor.search.agent import CONTROLLER, Agent
-from dc2g_jax.indoor.search.evaluation import (
-    SearchResult,
-    SearchSummary,
-    difference,
-    results_of,
-    summarize,
-    with_interval,
-)
+from dc2g_jax.indoor.search.evaluation import SearchResult, results_of
 from dc2g_jax.indoor.search.searches import TIME_LIMIT, sample_episodes, search_all
+
+#: Titles of the agents.
+AGENT_TITLES = {
+    "true_cost": "true cost map",
+    "random": "privileged random",
+    "frontier": "frontier",
+    "predicted": "predicted cost map",
+    "promising": "predicted, at frontiers",
+}
 
 #: Printed below every table.
 _CAVEAT = (
@@ -71,8 +74,7 @@ class SearchOptions(OutOptions):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.noise < math.inf:
-            raise InputError(f"--noise {self.noise:g}: give a number from 0 on")
+        check_number("--noise", self.noise, least=0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -90,6 +92,74 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
     count: int = 8
     episodes: int = 40
     resamples: int = 10_000
+
+
+class SearchSummary(NamedTuple):
+    """A line of Table I: means over episodes, of shares with 95 % bootstrap intervals over houses.
+
+    Attributes:
+      episodes: number of episodes.
+      success: success rate (SR).
+      spl: success weighted by path length.
+      distance: distance to success (DTS), meters.
+      steps: control periods (Time).
+      acceleration: meters per second squared, and radians per second squared.
+      jerk: meters per second cubed, and radians per second cubed.
+      declared: share of episodes in which the robot declared success.
+      collisions: control periods in which an obstacle stopped it.
+    """
+
+    episodes: int
+    success: Mean
+    spl: Mean
+    distance: float
+    steps: float
+    acceleration: tuple[float, float]
+    jerk: tuple[float, float]
+    declared: float
+    collisions: float
+
+
+def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> SearchSummary:
+    """The means and intervals of some results, one at least."""
+    columns = dict(zip(SearchResult._fields, zip(*results, strict=True), strict=True))
+    mean = {name: float(np.mean(values)) for name, values in columns.items() if not isinstance(values[0], str)}
+    success, spl = (
+        house_bootstrap(np.array(columns[name], float), columns["house"], resamples=resamples, seed=0)
+        for name in ("success", "spl")
+    )
+    acceleration, jerk = ((mean[name], mean[f"turn_{name}"]) for name in ("acceleration", "jerk"))
+    same = {name: mean[name] for name in ("distance", "steps", "declared", "collisions")}
+    return SearchSummary(len(results), success, spl, acceleration=acceleration, jerk=jerk, **same)
+
+
+def difference(
+    better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000
+) -> dict[str, Mean]:
+    """Differences of `success` and `spl` between two agents in the same searches, with intervals as in `SearchSummary`.
+
+    Raises:
+      ValueError: the searches differ.
+    """
+    if [one[:5] for one in better] != [one[:5] for one in worse]:
+        raise ValueError("the two agents made different searches")
+
+    def gain(name: str) -> Mean:
+        gains = [float(getattr(one, name)) - float(getattr(two, name)) for one, two in zip(better, worse, strict=True)]
+        return house_bootstrap(gains, [one.house for one in better], resamples=resamples, seed=0)
+
+    return {name: gain(name) for name in ("success", "spl")}
+
+
+def with_interval(value: Mean, sign: str = "") -> str:
+    """A mean with its interval; with a sign if `sign` is `+`."""
+    middle, low, high = (f"{one:{sign}.3f}" for one in value)
+    return f"{middle} ({low} to {high})"
+
+
+def table(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> str:
+    """Rows of cells as text, right-aligned in columns of these widths."""
+    return "\n".join("  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows)
 
 
 def compare(

@@ -78,7 +78,7 @@ def test_a_visitor_steps_scrubs_and_meets_nobody_else():
         await user.should_see("step 0")
         assert image.content != second
         await page.forward()
-        assert (image.content, len(page.state.walks["frontier"].moments)) == (second, 2)
+        assert (image.content, len(page.state.walks["frontier"].snapshots)) == (second, 2)
         await user.http_client.get("/")
         pages[1].state.paint((0, 0), (3, 3), "road", 1)
         np.testing.assert_array_equal(page.state.terrain, HOUSE.terrain)

@@ -59,7 +59,7 @@ def test_a_walk_is_the_episode_of_the_plain_implementation(frontier):
         max_steps=99,
     )  # fmt: skip
     assert success
-    assert [moment.decision.action for moment in frontier.moments] == [*actions, None]
+    assert [snapshot.decision.action for snapshot in frontier.snapshots] == [*actions, None]
     assert frontier.summary(0) == "step 0: +0 % beyond the oracle (14)"
     extra = 100 * (len(actions) - 14) / 14
     assert frontier.summary(len(actions)) == (
@@ -69,39 +69,39 @@ def test_a_walk_is_the_episode_of_the_plain_implementation(frontier):
 
 def test_decisions_are_those_of_the_planner_on_a_robot(frontier):
     robot = OnlinePlanner("frontier", sensing_range=SENSING, largest=HOUSE.terrain.shape)
-    for moment in frontier.moments:
-        decision = robot.plan(np.where(moment.seen, HOUSE.terrain, 0).astype(np.uint8), moment.pose)
-        assert (decision, decision.why) == (moment.decision, moment.decision.why)
+    for snapshot in frontier.snapshots:
+        decision = robot.plan(np.where(snapshot.seen, HOUSE.terrain, 0).astype(np.uint8), snapshot.pose)
+        assert (decision, decision.why) == (snapshot.decision, snapshot.decision.why)
 
 
 def test_pictures_have_a_pixel_for_each_cell(frontier):
-    moment = frontier.moments[0]
-    assert frontier.moments[0].cost_to_go is None
-    assert cost_picture(frontier, HOUSE.terrain, moment) == map_picture(HOUSE.terrain, moment.seen)
-    shown, whole = pixels(map_picture(HOUSE.terrain, moment.seen)), pixels(map_picture(HOUSE.terrain))
+    snapshot = frontier.snapshots[0]
+    assert frontier.snapshots[0].cost_to_go is None
+    assert cost_picture(frontier, HOUSE.terrain, snapshot) == map_picture(HOUSE.terrain, snapshot.seen)
+    shown, whole = pixels(map_picture(HOUSE.terrain, snapshot.seen)), pixels(map_picture(HOUSE.terrain))
     assert shown.shape == (*HOUSE.terrain.shape, 3)
-    np.testing.assert_array_equal(np.all(shown == whole, axis=-1), moment.seen)
+    np.testing.assert_array_equal(np.all(shown == whole, axis=-1), snapshot.seen)
     assert whole[6, 9].tolist() == colored("road")
 
 
 def test_costs_lead_to_the_door_along_the_colors():
     walk = walked("true_cost_to_go")
     assert walk.summary(14) == "reached the door in 14 steps: +0 % beyond the oracle (14)"
-    moment = walk.moments[5]
-    ground = moment.seen & TRAVERSABLE[HOUSE.terrain]
-    shown = pixels(cost_picture(walk, HOUSE.terrain, moment))
-    assert np.all(shown[~moment.seen] == 255)
-    colors = colormaps[COST_COLORS](moment.cost_to_go[ground] / max(HOUSE.terrain.shape))
+    snapshot = walk.snapshots[5]
+    ground = snapshot.seen & TRAVERSABLE[HOUSE.terrain]
+    shown = pixels(cost_picture(walk, HOUSE.terrain, snapshot))
+    assert np.all(shown[~snapshot.seen] == 255)
+    colors = colormaps[COST_COLORS](snapshot.cost_to_go[ground] / max(HOUSE.terrain.shape))
     np.testing.assert_allclose(shown[ground], 255 * colors[:, :3], atol=0.51)
-    assert moment.cost_to_go[0, 4] == 0
+    assert snapshot.cost_to_go[0, 4] == 0
 
 
 def test_marks_tell_of_each_candidate(frontier):
     svg = walk_marks(frontier, HOUSE.terrain, 0, SENSING)
-    candidates = frontier.moments[0].decision.candidates
+    candidates = frontier.snapshots[0].decision.candidates
     assert svg.count("<circle") == len(candidates) > 0
     assert f"<title>score {candidates[0].score:.1f}: {candidates[0].distance} actions away</title>" in svg
-    assert "<circle" not in walk_marks(frontier, HOUSE.terrain, len(frontier.moments) - 1, SENSING)
+    assert "<circle" not in walk_marks(frontier, HOUSE.terrain, len(frontier.snapshots) - 1, SENSING)
 
 
 def test_weights_and_range_are_the_planner_s(demo):
@@ -109,10 +109,10 @@ def test_weights_and_range_are_the_planner_s(demo):
     demo.distance_weight, demo.gain_weight = 1.5, 0.0
     demo.begin()
     demo.step()
-    moment = demo.walks["dc2g"].moments[0]
-    assert np.hypot(*(np.argwhere(moment.seen) - START[1::-1]).T).max() <= 5 < 6
-    assert len(moment.decision.candidates) > 1
-    for candidate in moment.decision.candidates:
+    snapshot = demo.walks["dc2g"].snapshots[0]
+    assert np.hypot(*(np.argwhere(snapshot.seen) - START[1::-1]).T).max() <= 5 < 6
+    assert len(snapshot.decision.candidates) > 1
+    for candidate in snapshot.decision.candidates:
         assert candidate.score == pytest.approx(candidate.cost_to_go + 1.5 * candidate.distance, rel=1e-4)
 
 
@@ -121,7 +121,7 @@ def test_no_weight_is_added_to_algorithm_2(demo):
     demo.distance_weight, demo.gain_weight = 1.5, 4.0
     demo.begin()
     demo.step()
-    for candidate in demo.walks["dc2g_paper"].moments[0].decision.candidates:
+    for candidate in demo.walks["dc2g_paper"].snapshots[0].decision.candidates:
         assert candidate.score == candidate.cost_to_go
 
 

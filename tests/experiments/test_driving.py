@@ -39,7 +39,7 @@ def test_figure_9_shows_and_records_a_drive(street, tmp_path, capsys):
     assert "% are as in the house" in told
     assert {path.name for path in out.iterdir()} == {"fig9.png", "fig9.svg", "fig9.pdf", "fig9.rrd", "run.json"}
     assert (out / "fig9.rrd").stat().st_size > 10_000
-    refusal(lambda: reproduce_fig9.main(dataclasses.replace(options, noise=-1.0)), "--noise -1", "from 0 on")
+    refusal(lambda: reproduce_fig9.main(dataclasses.replace(options, noise=-1.0)), "--noise -1", "at least 0")
 
 
 @pytest.mark.slow
@@ -70,8 +70,8 @@ def test_noise_is_swept_and_a_run_goes_on_where_it_stopped(street, tmp_path, cap
     [
         ({"levels": ()}, ["--levels", "give one at least"]),
         ({"levels": (1.0, -1.0)}, ["--levels 1.0 -1.0", "from 0 on"]),
-        ({"pedestrians": -1}, ["--pedestrians -1", "0 or more"]),
-        ({"image_size": (4, 100)}, ["--image-size 4 100", "8 by 8"]),
+        ({"pedestrians": -1}, ["--pedestrians -1", "at least 0"]),
+        ({"image_size": (4, 100)}, ["--image-size 4", "at least 8"]),
     ],
 )
 def test_options_of_no_use_are_refused(street, tmp_path, options, mentions):

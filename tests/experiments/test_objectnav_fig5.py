@@ -52,11 +52,11 @@ def test_an_agent_with_a_network_also_shows_a_prediction(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "mentions"),
     [
-        ({"dataset": "folder", "house": "val-99"}, ("--house val-99", "val", "give", "two_rooms")),
-        ({"house": "val-07"}, ("--house val-07", "val-0", "give")),
-        ({"target": "sofa"}, ("--target sofa", "is no class", "plant, couch")),
-        ({"target": "sink"}, ("--target sink", "give", "bed, plant; or another --house")),
-        ({"target": "couch"}, ("--target couch", "two_rooms", "give", "bed, plant")),
+        ({"dataset": "folder", "house": "val-99"}, ("called val-99", "val", "give", "two_rooms")),
+        ({"house": "val-07"}, ("called val-07", "val-0", "give")),
+        ({"target": "sofa"}, ("no class", "'sofa'", "plant, couch")),
+        ({"target": "sink"}, ("two_rooms", "no sink", "give", "bed, plant, or another house")),
+        ({"target": "couch"}, ("no couch", "two_rooms", "give", "bed, plant")),
         ({"limit": 0}, ("--limit 0", "give 1 or more")),
     ],
 )

@@ -9,10 +9,16 @@ from dc2g_jax._src.rollouts.results import read_rows
 from dc2g_jax.indoor.search.evaluation import SearchResult
 from experiments.objectnav_table1 import Options, main
 from experiments.support import searches
+from experiments.support.searches import difference, summarize
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
 OPTIONS = Options(count=1, episodes=2, agents=("random",), samples=4, limit=10, resamples=20)
+
+
+#: A search that succeeds, and one that does not.
+GOOD = SearchResult("house", "plant", 4.0, -1.0, 0.0, "one", True, True, 0.8, 1.2, 1.5, 0.0, 20, 3, 0.1, 0.2, 0.3, 0.4)
+BAD = GOOD._replace(success=False, spl=0.0, distance=2.5)
 
 
 @pytest.fixture
@@ -55,3 +61,20 @@ def test_a_broken_table_is_named_with_its_line(tmp_path):
 )
 def test_numbers_that_are_none_are_refused(wrong, tmp_path):
     refusal(lambda: main(dataclasses.replace(OPTIONS, **wrong, out=tmp_path / "out")), "give")
+
+
+def test_means_are_over_episodes_and_intervals_over_houses():
+    results = [GOOD._replace(house="a"), BAD._replace(house="b"), GOOD._replace(house="a"), GOOD._replace(house="a")]
+    summary = summarize(results, resamples=200)
+    assert summary.success == (0.75, 0, 1)
+    assert summary.spl.mean == pytest.approx(0.75 * GOOD.spl)
+    assert summary.distance == pytest.approx(BAD.distance / 4)
+
+
+def test_differences_are_of_the_same_searches():
+    better, worse = [GOOD, GOOD._replace(house="b")], [BAD, GOOD._replace(house="b")]
+    found = difference(better, worse, resamples=200)
+    assert found["success"] == (0.5, 0, 1)
+    assert found["spl"].mean == pytest.approx(GOOD.spl / 2)
+    with pytest.raises(ValueError, match="different searches"):
+        difference(better, worse[::-1])

@@ -16,9 +16,8 @@ from dc2g_jax.indoor.learning.networks import (
     CostMapArchitecture,
     CostMapNetwork,
 )
-from dc2g_jax.indoor.search.evaluation import METRICS
 from experiments import objectnav_table2
-from experiments.objectnav_table2 import Options, main
+from experiments.objectnav_table2 import METRICS, Options, main
 from experiments.support import searches
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
@@ -77,4 +76,4 @@ def test_two_networks_of_a_kind_and_unknown_agents_are_refused(options, folders)
     twice = dataclasses.replace(options, networks=(folders[0], folders[0]))
     refusal(lambda: main(twice), "--networks", folders[0], "one of each")
     refusal(lambda: main(dataclasses.replace(options, maps=17)), "--maps 17", "multiple of 16")
-    refusal(lambda: main(dataclasses.replace(options, agent="frontier")), "frontier", "promising or predicted")
+    refusal(lambda: main(dataclasses.replace(options, agent="frontier")), "frontier", "promising, predicted")

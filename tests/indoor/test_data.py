@@ -203,4 +203,4 @@ def test_a_batch_is_drawn_for_goals_that_are_there(samples):
 def test_houses_that_are_too_large_are_refused(world):
     config = CollectionConfig(largest=20)
     refusal(lambda: collect([IndoorHouse("train-0", world)], Quarters(), config), "20 cells", "larger")
-    refusal(lambda: CollectionConfig(views=255), "255 views")
+    refusal(lambda: CollectionConfig(views=255), "views 255")

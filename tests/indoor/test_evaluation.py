@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.indoor.maps.classes import GOALS
-from dc2g_jax.indoor.search.evaluation import difference, results_of, success_region, summarize
+from dc2g_jax.indoor.search.evaluation import results_of, success_region
 from dc2g_jax.indoor.search.searches import Search, Searches, sample_episodes
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
@@ -77,25 +77,6 @@ def test_accelerations_are_differences_of_speeds(house):
     assert result.acceleration == pytest.approx(speed / 0.1 / 10, rel=1e-4)
     assert result.jerk == pytest.approx(speed / 0.01 / 9, rel=1e-4)
     assert (result.turn_acceleration, result.turn_jerk) == (0, 0)
-
-
-def test_means_are_over_episodes_and_intervals_over_houses(house):
-    good, bad = judged(house, (3.95, -1.0), (4.15, -2.3)), judged(house, (4.15, -1.0), (2.85, -3.0))
-    results = [good._replace(house="a"), bad._replace(house="b"), good._replace(house="a"), good._replace(house="a")]
-    summary = summarize(results, resamples=200)
-    assert summary.success == (0.75, 0, 1)
-    assert summary.spl.mean == pytest.approx(0.75 * good.spl)
-    assert summary.distance == pytest.approx(bad.distance / 4)
-
-
-def test_differences_are_of_the_same_searches(house):
-    good, bad = judged(house, (3.95, -1.0), (4.15, -2.3)), judged(house, (3.95, -1.0), (2.85, -3.0))
-    better, worse = [good, good._replace(house="b")], [bad, good._replace(house="b")]
-    found = difference(better, worse, resamples=200)
-    assert found["success"] == (0.5, 0, 1)
-    assert found["spl"].mean == pytest.approx(good.spl / 2)
-    with pytest.raises(ValueError, match="different searches"):
-        difference(better, worse[::-1])
 
 
 def test_searches_are_drawn_alike_whatever_houses_come_with_them(house):

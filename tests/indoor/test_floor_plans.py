@@ -130,7 +130,7 @@ def test_houses_are_of_one_to_ten_rooms(plans):
 def test_bad_seeds_and_splits_are_refused():
     with pytest.raises(InputError, match="no split"):
         draw_plan(0, "training", 0)
-    with pytest.raises(InputError, match="from 0 on"):
+    with pytest.raises(InputError, match="at least 0"):
         draw_plan(0, "train", -1)
     with pytest.raises(InputError, match="at least 1"):
         indoor_houses(count=0)

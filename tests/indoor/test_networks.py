@@ -134,7 +134,7 @@ def test_the_default_is_small():
     "change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}, {"inputs": "all"}]
 )
 def test_architectures_without_sense_are_refused(change):
-    with pytest.raises(ValueError, match=r"give at least|use one of"):
+    with pytest.raises(ValueError, match="give"):
         dataclasses.replace(SMALL, **change)
 
 

@@ -58,7 +58,7 @@ def recording(name: str) -> tuple[list[Moment], np.ndarray]:
     render_at = lambda pose: render(site.scene, agent.camera, pose, agent.mapping.reach)  # noqa: E731
     take, photograph = jax.jit(render_at), jax.jit(lambda robot: picture(robot, site))
     look, drive = (jax.jit(lambda robot, step=step: step(robot, site, agent)) for step in (look_and_decide, act))
-    robot = reset(jax.random.key(SEED), (jnp.array(START), jnp.int32(GOALS.index(PLANT))), agent, LIMIT)
+    robot = reset(jax.random.key(SEED), (jnp.array(START), jnp.int32(GOALS.index(PLANT))), site, agent, LIMIT)
     moments: list[Moment] = []
     while is_active(robot):
         x, y, yaw, *speeds = np.asarray(robot.track[len(moments)])
@@ -139,7 +139,7 @@ def test_robots_take_turns_with_one_searcher():
 @pytest.mark.parametrize(
     ("wrong", "mentions"),
     [
-        ({"target": "car"}, ("target 'car'", "bed, chair, sink, plant, couch")),
+        ({"target": "car"}, ("'car'", "bed, chair, sink, plant, couch")),
         ({"pose": (1.0, 2.0)}, ("pose is (1.0, 2.0)", "finite numbers")),
         ({"pose": (1.0, np.nan, 0.0)}, ("pose", "finite numbers")),
         ({"speeds": "fast"}, ("speeds is 'fast'", "finite numbers")),

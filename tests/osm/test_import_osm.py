@@ -59,7 +59,7 @@ def test_only_what_is_mapped(tmp_path, extract, capsys):
 
 def test_what_cannot_be_done(tmp_path, extract):
     for changed, message in (
-        ({"meters": 5.0}, r"--meters 5: .*20 to 1000"),
+        ({"meters": 5.0}, r"--meters 5\.0: .*20 to 1000"),
         ({"cells": 2}, r"--cells 2: .*10 to 2000"),
         ({"around": (47.6, -122.2999), "meters": 20.0}, r"hamlet\.osm: no building .* --around"),
     ):

@@ -267,7 +267,7 @@ def test_a_clipped_extract(tmp_path):
     assert extract.incomplete == 1
     assert len(read(tmp_path, whole.text()).streets) == 1
     refusal(lambda: read_extract(tmp_path / "missing.osm"), "missing.osm", "no such file")
-    refusal(lambda: read_extract(tmp_path / "hamlet.osm", (93.0, 0.0)), "--around 93 0", "degrees")
+    refusal(lambda: read_extract(tmp_path / "hamlet.osm", (93.0, 0.0)), "--around", "latitude 93", "degrees")
     refusal(lambda: read_extract(tmp_path / "hamlet.osm", (10.0, 0.0), 100.0), "within 100 m of 10 0", "no buildings")
 
 

@@ -41,7 +41,7 @@ def test_a_simulated_drive_is_written_and_mapped(simulated):
     assert {path.name for path in simulated.iterdir()} == WRITTEN | {"sequence"}
     assert json.loads((simulated / "run.json").read_text())["experiment"] == "map_recording"
     sequence = read_sequence(simulated / "sequence")
-    places = np.stack([moment.pose.position for moment in sequence.moments])
+    places = np.stack([moment.pose.position for moment in sequence.frames])
     # Along the road, a turn on the spot, and up to the door.
     np.testing.assert_allclose(places[:6, 0], [0.5, 1.5, 2.5, 3.5, 4.5, 4.5])
     np.testing.assert_allclose(places[5:, 1], [-4.5, -3.5, -2.5, -1.5, -0.5])
@@ -89,7 +89,7 @@ def test_options_that_do_not_fit_are_refused(yards, tmp_path):
     refusal(lambda: run(sequence=tmp_path, simulate="yard"), "either")
     refusal(lambda: run(simulate="yarn"), "'yarn'", "yard")
     refusal(lambda: run(sequence=tmp_path / "nowhere"), "nowhere", "no such folder")
-    refusal(lambda: run(simulate="yard", start=(0, 4, 0), image_size=(0, 4)), "--image-size 0 4")
+    refusal(lambda: run(simulate="yard", start=(0, 4, 0), image_size=(0, 4)), "--image-size 0")
     refusal(lambda: run(simulate="yard", cell_size=-1.0), "--cell-size -1")
     refusal(lambda: run(sequence=tmp_path, reach=np.inf), "--reach inf")
     refusal(lambda: run(sequence=tmp_path, ground=np.nan), "--ground nan")

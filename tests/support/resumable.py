@@ -33,8 +33,9 @@ from dc2g_jax.indoor import train_command
 from dc2g_jax.indoor.learning.collecting import CollectionConfig
 from dc2g_jax.indoor.learning.losses import OF_CLASSES
 from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax.indoor.search.evaluation import METRICS, SearchResult
+from dc2g_jax.indoor.search.evaluation import SearchResult
 from experiments import head_to_head, noisy_mapping, objectnav_table1, objectnav_table2, reproduce_fig5, reproduce_fig7
+from experiments.objectnav_table2 import METRICS
 from experiments.studies import unknown_dimensions
 from experiments.support import published, searches
 from experiments.support.driving import DriveResult
@@ -209,7 +210,7 @@ def objectnav_table1_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
 def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _tables(patch)
     patch.setattr(objectnav_table2, "open_networks", lambda folders: {"semantic": None, "both": None})
-    patch.setattr(objectnav_table2, "agent_with", lambda *args: AGENT)
+    patch.setattr(objectnav_table2, "agent_with", lambda *args, **options: AGENT)
     metrics = dict.fromkeys((*METRICS, *OF_CLASSES), 50.0)
     patch.setattr(objectnav_table2, "prediction_metrics", lambda *args: metrics)
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))

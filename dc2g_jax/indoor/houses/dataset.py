@@ -1,7 +1,9 @@
 """Houses for object search, by split: procedural houses, or houses from ProcTHOR's files."""
 
 import dataclasses
+import itertools
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +19,7 @@ from dc2g_jax.indoor.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_p
 from dc2g_jax.indoor.houses.procthor import read_procthor
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
 from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, inflated
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_name, check_number
 
 #: File endings of houses.
 _ENDINGS = (".jsonl.gz", ".jsonl")
@@ -37,11 +39,6 @@ class IndoorHouse(NamedTuple):
     world: IndoorWorld
 
 
-def _check_split(split: str) -> None:
-    if split not in SPLITS:
-        raise InputError(f"no split is called {split!r}; use one of: {', '.join(SPLITS)}")
-
-
 def draw_plan(seed: int, split: str, index: int) -> HousePlan:
     """Draw a furnished house. Every combination of seed, split and index has its own random numbers.
 
@@ -51,9 +48,9 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
     Raises:
       InputError: there is no such split, or a number is negative.
     """
-    _check_split(split)
-    if seed < 0 or index < 0:
-        raise InputError(f"seed {seed}, house {index}: give numbers from 0 on")
+    check_name("split", split, SPLITS)
+    check_number("seed", seed, whole=True, least=0)
+    check_number("house", index, whole=True, least=0)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), index, attempt)))
         layout = draw_layout(rng)
@@ -91,13 +88,17 @@ def indoor_houses(
     Raises:
         InputError: the split, folder or file does not exist, a file is invalid, or it has fewer than `count` houses.
     """
-    _check_split(split)
-    if count is not None and count < 1:
-        raise InputError(f"{count} houses: give a number of at least 1")
+    check_name("split", split, SPLITS)
+    if count is not None:
+        check_number("number of houses", count, whole=True, least=1)
     if location == PROCEDURAL:
         plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
     else:
-        path = _split_file(Path(location), split)
+        paths = [Path(location) / f"{split}{ending}" for ending in _ENDINGS]
+        path = next(filter(Path.is_file, paths), None)
+        if path is None:
+            names = " or ".join(path.name for path in paths)
+            raise InputError(f"{location}: has no {names}; give a folder of ProcTHOR houses")
         plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
@@ -105,11 +106,7 @@ def indoor_houses(
 
 
 def indoor_house(
-    name: str,
-    location: str | os.PathLike[str] = PROCEDURAL,
-    split: str = "train",
-    *,
-    cell_size: float = PLAN_CELL_SIZE,
+    name: str, location: str | os.PathLike[str] = PROCEDURAL, split: str = "train", *, cell_size: float = PLAN_CELL_SIZE
 ) -> IndoorHouse:
     """The house of a split that has this name.
 
@@ -120,38 +117,19 @@ def indoor_house(
         number = name.removeprefix(f"{split}-")
         if not number.isdecimal() or name != f"{split}-{int(number)}":
             raise InputError(
-                f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
-                "on; give one of these, or another --split"
+                f"no procedural house of the split {split} is called {name}; give {split}-0, {split}-1, ..."
             )
         return IndoorHouse(name, world_from_plan(draw_plan(0, split, int(number)), cell_size))
     houses = indoor_houses(location, split, cell_size=cell_size)
     for house in houses:
         if house.name == name:
             return house
-    raise InputError(
-        f"--house {name}: {location} has no such house in its split {split}; give one from {houses[0].name} to "
-        f"{houses[-1].name}"
-    )
+    known = f"{houses[0].name} to {houses[-1].name}"
+    raise InputError(f"{location}: no house of the split {split} is called {name}; give one of {known}")
 
 
-def _split_file(folder: Path, split: str) -> Path:
-    """The file of a split.
-
-    Raises:
-        InputError: the folder has no file of the split.
-    """
-    paths = [folder / f"{split}{ending}" for ending in _ENDINGS]
-    for path in paths:
-        if path.is_file():
-            return path
-    raise InputError(f"{folder}: has no {' or '.join(path.name for path in paths)}; give a folder of ProcTHOR houses")
-
-
-#: Cells of a floor plan's map, and its least number of rooms.
-_MAP_CELLS, _FEWEST_ROOMS = 50, 4
-
-#: Floor plans of each split, the first of which are to choose on.
-_MAPS = {"val": 100, "test": 100}
+#: Cells of a floor plan's map, its least number of rooms, and maps of each split, the first of which are to choose on.
+_MAP_CELLS, _FEWEST_ROOMS, _MAPS = 50, 4, 100
 
 
 def floor_plan_dataset(seed: int = 0) -> HouseDataset:
@@ -159,18 +137,17 @@ def floor_plan_dataset(seed: int = 0) -> HouseDataset:
 
     The longer side of a house fills the map. Houses have four rooms at least; the door is a free cell at random.
     """
-    houses: list[House] = []
-    for split, count in _MAPS.items():
-        index = found = 0
-        while found < count:
+
+    def drawn(split: str) -> Iterator[House]:
+        for index in itertools.count():
             plan, rng = draw_plan(seed, split, index), np.random.default_rng([seed, index])
-            index += 1
             if len(plan.rooms) < _FEWEST_ROOMS:
                 continue
             sides = world_from_plan(plan, PLAN_CELL_SIZE).free.shape
             free = world_from_plan(plan, max(sides) * PLAN_CELL_SIZE / _MAP_CELLS + 1e-3).free
             classes = with_door(np.pad(free, [(0, _MAP_CELLS - side) for side in free.shape]), rng)
             if classes is not None:
-                houses.append(House(f"{split}-{index - 1}", split, classes))
-                found += 1
+                yield House(f"{split}-{index}", split, classes)
+
+    houses = (house for split in ("val", "test") for house in itertools.islice(drawn(split), _MAPS))
     return HouseDataset("floor_plans", PROCEDURAL, tuple(houses))

@@ -177,7 +177,6 @@ def _often(room: RoomSketch, name: str, share: float, *, corner: float = 0.0) ->
 
 
 def _nightstand(room: RoomSketch, bed: Furniture) -> None:
-    """Place a nightstand beside the head of a bed, sometimes with a lamp."""
     item = _item(room, "nightstand")
     for side in room.rng.permutation([-1, 1]).tolist():
         x, y = in_front(bed, side * (bed.width + item.width + 0.12) / 2, (item.depth - bed.depth) / 2)
@@ -207,7 +206,6 @@ def _opposite_first(room: RoomSketch, name: str, wall: Wall | None) -> Furniture
 
 
 def _coffee_table(room: RoomSketch, couch: Furniture) -> None:
-    """Place a coffee table in front of a couch."""
     item = _item(room, "coffee table")
     x, y = in_front(couch, 0, couch.depth / 2 + 0.75 + item.depth / 2)
     room.place(item._replace(x=x, y=y, angle=couch.angle))

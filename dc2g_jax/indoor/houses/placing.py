@@ -228,7 +228,6 @@ class RoomSketch:
 
 
 def _front(piece: Furniture, reach: float) -> Rectangle:
-    """The space in front of a piece."""
     x, y = in_front(piece, 0, (piece.depth + reach) / 2)
     return bounds(piece._replace(x=x, y=y, depth=reach))
 

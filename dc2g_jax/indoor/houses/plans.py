@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_number
 
 #: Side of a cell, meters: the paper's map of 420 cells is then 21 m wide.
 PLAN_CELL_SIZE = 0.05
@@ -131,8 +131,7 @@ def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> Indoo
     Raises:
       InputError: the cell size is not positive, or the grid would have more than `MOST_CELLS` cells along a side.
     """
-    if not (math.isfinite(cell_size) and cell_size > 0):
-        raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {PLAN_CELL_SIZE}")
+    check_number("cell size", cell_size, above=0, hint="meters")
     grid = _Grid.over(plan, cell_size)
     floor = _floor(grid, plan.rooms)
     walls = _walls(grid, plan)
@@ -180,7 +179,6 @@ def _inside(
 
 
 def _floor(grid: _Grid, rooms: tuple[Room, ...]) -> UInt8[np.ndarray, "h w"]:
-    """The room number of each cell."""
     floor = np.zeros((len(grid.y), len(grid.x)), np.uint8)
     for number, room in enumerate(rooms, 1):
         rows, columns = grid.around(room.outline, grid.cell_size)
@@ -189,7 +187,6 @@ def _floor(grid: _Grid, rooms: tuple[Room, ...]) -> UInt8[np.ndarray, "h w"]:
 
 
 def _walls(grid: _Grid, plan: HousePlan) -> Bool[np.ndarray, "h w"]:
-    """Cells of walls, except open doors."""
     walls = np.zeros((len(grid.y), len(grid.x)), bool)
     for wall in plan.walls:
         place, cells = _strip(grid, wall, 1.0)

@@ -20,7 +20,7 @@ from dc2g_jax.datasets import tell_on_stderr
 from dc2g_jax.files import opened, parse_json, read_lines, read_object
 from dc2g_jax.indoor.houses.plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax.indoor.maps.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
-from dc2g_jax.runtime import InputError, short
+from dc2g_jax.runtime import InputError, check_name, check_number, short
 
 #: Name of the table of boxes, beside the houses.
 BOXES_FILE = "asset_boxes.json"
@@ -117,7 +117,6 @@ def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> House
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The non-empty lines of a file, with their numbers."""
     remedy = "give an undamaged file of houses in ProcTHOR's JSON format, .jsonl or .jsonl.gz"
     try:
         with opened(path, remedy) as file:
@@ -142,7 +141,6 @@ def _parsed(text: bytes) -> dict[str, Any]:
 
 
 def _field(entry: Any, name: str) -> Any:
-    """The value of a field. Raises InputError if the field is missing."""
     if not isinstance(entry, dict) or name not in entry:
         raise InputError(f"no {name!r} in {short(entry)}")
     return entry[name]
@@ -156,13 +154,11 @@ def _list(entry: Any, name: str) -> list[Any]:
 
 
 def _number(value: Any, name: str, most: float = _FARTHEST) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
-        raise InputError(f"{name!r} is {short(value)}, not a number from {-most:g} to {most:g}")
+    check_number(name, value, least=-most, most=most)
     return float(value)
 
 
 def _corners(entry: Any, name: str, least: int) -> Float[np.ndarray, "corner 2"]:
-    """The x and z of a polygon's corners."""
     corners = [[_number(_field(corner, axis), axis) for axis in "xz"] for corner in _list(entry, name)]
     if len(corners) < least:
         raise InputError(f"{name!r} has {len(corners)} corners, less than {least}")
@@ -171,8 +167,7 @@ def _corners(entry: Any, name: str, least: int) -> Float[np.ndarray, "corner 2"]
 
 def _room(room: Any) -> Room:
     kind = _field(room, "roomType")
-    if kind not in ROOM_NAMES[1:]:
-        raise InputError(f"the room type is {short(kind)}, none of {', '.join(ROOM_NAMES[1:])}")
+    check_name("room type", kind, ROOM_NAMES[1:])
     return Room(ROOM_NAMES.index(kind), _corners(room, "floorPolygon", 3))
 
 
@@ -183,7 +178,6 @@ def _ends(wall: Any) -> Segment:
 
 
 def _opening(door: Any, walls: Mapping[str, Any]) -> Segment:
-    """The segment of wall that a door opens."""
     name = str(_field(door, "wall0"))
     if name not in walls:
         raise InputError(f"door {_field(door, 'id')!r} is in a wall {name!r} that is not there")

@@ -4,6 +4,7 @@ World frame as in `mapping.camera`: x along the columns, y against the rows, bot
 first cell, which is the upper left one of the plan.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -84,35 +85,33 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
     return np.clip(np.round(cells), 0, 255).astype(np.uint8)
 
 
-def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
-    """Pad a house to so many rows, columns, rooms (with the outside) and objects. Positions of cells do not change."""
-    sizes = {"room_kinds": (rooms,), "object_kinds": (objects,)}
-
-    def filled(name: str, leaf: np.ndarray) -> np.ndarray:
-        lacking = [(0, most - size) for most, size in zip(sizes.get(name, (rows, columns)), leaf.shape, strict=True)]
-        return np.pad(leaf, lacking, constant_values=-1 if name == "instances" else 0)
-
-    leaves = {name: filled(name, leaf) for name, leaf in vars(world).items() if name != "cell_size"}
-    return world.replace(**leaves)  # type: ignore[attr-defined]
-
-
 def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
-    """Pad houses with equal cells, one at least, to a common size, so that they can be stacked."""
-    shapes = [(*world.free.shape, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
-    return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]
+    """Pad houses with equal cells, one at least, to a common size, so that they can be stacked.
+
+    Cells keep their positions.
+    """
+
+    def padded(name: str) -> list[np.ndarray]:
+        leaves = [getattr(world, name) for world in worlds]
+        most, beyond = np.max([leaf.shape for leaf in leaves], axis=0), -1 if name == "instances" else 0
+        return [np.pad(leaf, [(0, size) for size in most - leaf.shape], constant_values=beyond) for leaf in leaves]
+
+    names = [field.name for field in dataclasses.fields(IndoorWorld) if field.name != "cell_size"]
+    columns = zip(*map(padded, names), strict=True)
+    return [
+        dataclasses.replace(world, **dict(zip(names, leaves, strict=True)))
+        for world, leaves in zip(worlds, columns, strict=True)
+    ]
 
 
 def _distance_to(cells: Bool[np.ndarray, "h w"], cell_size: float) -> Float[np.ndarray, "h w"]:
-    """Straight-line distance of each cell to the nearest of some cells, meters."""
     return distance_transform_edt(~cells).astype(np.float32) * cell_size
 
 
 def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
     """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
     region = component_numbers(world.fits)
-    sizes = np.bincount(region.ravel())
-    sizes[0] = 0
-    return (region == np.argmax(sizes)) & (region > 0)
+    return (region == np.argmax(np.bincount(region[region > 0], minlength=1))) & (region > 0)
 
 
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:

@@ -21,7 +21,7 @@ from dc2g_jax.indoor.maps.classes import GOALS
 from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.indoor.maps.mapping import EXPLORED_CHANNEL, IndoorMap, IndoorMapSettings, has, with_frame
 from dc2g_jax.robot import Scene, render, wrapped
-from dc2g_jax.runtime import InputError, deal, gather, jit, mesh_of, on_each, replicate
+from dc2g_jax.runtime import InputError, check_number, deal, gather, jit, mesh_of, on_each, replicate
 
 #: Stands for the first view of a cell that no view shows.
 NEVER = 255
@@ -156,11 +156,9 @@ class CollectionConfig:
     data_seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 < self.views < NEVER or min(self.journeys, self.places) < 1:
-            raise InputError(
-                f"{self.journeys} journeys of {self.views} views to {self.places} places: give at least 1, and at most "
-                f"{NEVER - 1} views"
-            )
+        check_number("views", self.views, whole=True, least=1, most=NEVER - 1)
+        check_number("journeys", self.journeys, whole=True, least=1)
+        check_number("places", self.places, whole=True, least=1)
 
 
 def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
@@ -208,12 +206,9 @@ def _distances(
 def _views(
     house: Scene, paint: UInt8[Array, "h w 3"], cells: Int[Array, "n 2"], headings: Float[Array, "n"]
 ) -> CameraView:
-    """What robots' cameras see of one house."""
-
-    def one(pose: tuple[Array, Array]) -> CameraView:
-        return view(house, paint, camera_over(*pose, house.tile_size))
-
-    return jax.lax.map(one, (cells, headings))
+    return jax.lax.map(
+        lambda pose: view(house, paint, camera_over(pose[0], pose[1], house.tile_size)), (cells, headings)
+    )
 
 
 def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> tuple:

@@ -6,8 +6,7 @@ of the symmetries.
 """
 
 import functools
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +25,7 @@ LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
 #: Stands for an infinite distance. Distances are stored in whole millimeters.
 _UNREACHABLE = np.iinfo(np.uint16).max
 
-#: Symmetries of a map, see `training.pairs.turned`. The first four are rotations by 0, 90, 180 and 270 degrees
+#: Symmetries of a map, see `training.turned`. The first four are rotations by 0, 90, 180 and 270 degrees
 #: counter-clockwise.
 SYMMETRIES = (0, 5, 3, 6, 1, 2, 4, 7)
 
@@ -53,7 +52,7 @@ def _relative(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Flo
 #: Functions from distances to costs, by name. The paper only says "normalized". `share` is the closest, as the paper's
 #: figures show costs from green to red in each map, but its scale differs from map to map. `relative` has a
 #: fixed scale, and does not ask for the distance of far goals, about which a partial map says least.
-NORMALIZATIONS: Mapping[str, Normalize] = MappingProxyType({"share": _share, "relative": _relative})
+NORMALIZATIONS: dict[str, Normalize] = {"share": _share, "relative": _relative}
 
 
 @struct.dataclass
@@ -64,7 +63,7 @@ class JourneySet:
       cells: cells of the houses, see `map_of`.
       distance: distance from each free cell to the nearest goal of each class, millimeters.
       house: house of each journey.
-      first_seen: number of the view that first showed each cell, see `exploring.Journey`.
+      first_seen: number of the view that first showed each cell, see `learning.collecting.Journey`.
       places: row and column of the robot at each view.
       headings: direction of the camera, counter-clockwise from east, radians.
       features: mid-level features of each camera image and of its mirror image.
@@ -151,12 +150,7 @@ def make_sample(
 
 
 def draw_samples(
-    key: Array,
-    data: JourneySet,
-    *,
-    batch_size: int,
-    symmetries: tuple[float, ...],
-    normalize: Normalize,
+    key: Array, data: JourneySet, *, batch_size: int, symmetries: tuple[float, ...], normalize: Normalize
 ) -> Samples:
     """A random batch: uniform over views of all journeys, and over the goals that can be reached from each view.
 

@@ -1,7 +1,6 @@
 """Losses and metrics of predicted cost maps (sections II-C and III-B). All but `occupancy_scores` take one map."""
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -68,9 +67,7 @@ def direction_loss(
 
 
 def total_loss(
-    prediction: Prediction,
-    occupied: Bool[Array, "h w"],
-    cost: Float[Array, "h w"],
+    prediction: Prediction, occupied: Bool[Array, "h w"], cost: Float[Array, "h w"]
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
     """The weighted sum of the three losses (equation 4), and each of them."""
     navigable = ~occupied & jnp.isfinite(cost)
@@ -86,7 +83,7 @@ def total_loss(
 Loss = Callable[[Prediction, Bool[Array, "h w"], Float[Array, "h w"]], tuple[Float[Array, ""], dict[str, Any]]]
 
 #: Losses by name.
-LOSSES: Mapping[str, Loss] = MappingProxyType({"paper": total_loss})
+LOSSES: dict[str, Loss] = {"paper": total_loss}
 
 
 def named_loss(name: str) -> Loss:

@@ -103,6 +103,6 @@ ENCODER = Kind(
 
 
 def load_encoder(folder: str | Path) -> TrainedEncoder:
-    """Read an encoder, see `estimation.checkpoints.read_network`."""
+    """Read an encoder, see `estimation.read_network`."""
     _, weights, architecture, _ = read_network(folder, [ENCODER])
     return TrainedEncoder(weights, architecture)

@@ -24,7 +24,7 @@ from dc2g_jax.files import resource
 from dc2g_jax.indoor.learning.midlevel import TrainedEncoder, load_encoder
 from dc2g_jax.indoor.maps.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax.indoor.maps.mapping import MAP_CHANNELS, IndoorMapSettings
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_name, check_number
 
 #: Within the folder of a network, that of the encoder that it was trained with.
 ENCODER_FOLDER = "encoder"
@@ -78,10 +78,8 @@ class CostMapArchitecture:
         if len(self.widths) < 2 or min(self.widths) < 1:
             raise InputError(f"widths {' '.join(map(str, self.widths))}: give at least two, none below 1")
         for name in ("patch", "embedding", "features", "feature_width"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name.replace('_', ' ')} {getattr(self, name)}: give at least 1")
-        if self.inputs not in get_args(Inputs):
-            raise InputError(f"inputs {self.inputs!r}: use one of: {', '.join(get_args(Inputs))}")
+            check_number(name.replace("_", " "), getattr(self, name), whole=True, least=1)
+        check_name("input", self.inputs, get_args(Inputs))
 
 
 @struct.dataclass
@@ -198,8 +196,7 @@ class CostMapNetwork(nnx.Module):
         bottleneck = jnp.concatenate([nnx.relu(at), goal, view], axis=-1)
         local = jnp.einsum("bchw,c->bhw", maps[:, :MAP_CHANNELS], self.cell[...])
         return Prediction(
-            occupancy_logits=self.occupancy(bottleneck, skipped) + local,
-            cost=self.cost(bottleneck, skipped),
+            occupancy_logits=self.occupancy(bottleneck, skipped) + local, cost=self.cost(bottleneck, skipped)
         )
 
 
@@ -252,7 +249,7 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
     """Read a trained network and its encoder.
 
     Args:
-      place: output folder of `dc2g train-indoor`, or a place on the Hub, see `estimation.hub.local_folder`; `None`
+      place: output folder of `dc2g train-indoor`, or a place on the Hub, see `estimation.local_folder`; `None`
         for the shipped network.
 
     Raises:
@@ -262,13 +259,9 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
     _, weights, architecture, card = read_network(folder, [COST_MAPS])
     encoder = load_encoder(folder / ENCODER_FOLDER)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
-        raise InputError(
-            f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
-            f"{IndoorMapSettings.cell_size:g} m; train one anew"
-        )
+        sizes = f"{card['cell_size']:g} m, maps here have {IndoorMapSettings.cell_size:g} m"
+        raise InputError(f"{folder}: the network was trained on cells of {sizes}; train one anew")
     if (size := encoder.architecture.features) != architecture.features:
-        raise InputError(
-            f"{folder}: the encoder makes {size} features, the network takes {architecture.features}; take both from "
-            "one folder"
-        )
+        both = f"the encoder makes {size} features, the network takes {architecture.features}"
+        raise InputError(f"{folder}: {both}; take both from one folder")
     return CostMapEstimator(weights=weights, encoder=encoder, architecture=architecture)

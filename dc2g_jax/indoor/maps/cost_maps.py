@@ -2,7 +2,7 @@
 
 They are made from exact or predicted distances and obstacles. The last part of the path, to an object that the robot
 has seen, is that of `distance_to_object` (section II-D, equation 7). Coordinates are those of
-`vehicles.vehicle`: x along columns, y against rows, meters.
+`robot.driving.vehicle`: x along columns, y against rows, meters.
 """
 
 import functools

@@ -21,14 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax.grid import NoiseLevels
 from dc2g_jax.indoor.learning.networks import CostMapEstimator
 from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, STOP, cost_lookup, dense_costs
-from dc2g_jax.indoor.maps.mapping import (
-    IndoorMap,
-    IndoorMapSettings,
-    empty_map,
-    grid_cell,
-    square,
-    with_frame,
-)
+from dc2g_jax.indoor.maps.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, square, with_frame
 from dc2g_jax.robot import (
     CONTROL_PERIOD,
     DRIVING,
@@ -77,8 +70,11 @@ class Guidance:
     to_goal: Bool[Array, ""]
 
 
-#: Strategy that directs a robot: `(robot, picture of its camera or None, components) -> costs of its local map`.
-Guide = Callable[["Searcher", UInt8[Array, "48 64 3"] | None, "Agent"], Guidance]
+#: The picture of a robot's camera, of robots that take some.
+Picture = UInt8[Array, "48 64 3"] | None
+
+#: Strategy that directs a robot: `(robot, picture of its camera, components) -> costs of its local map`.
+Guide = Callable[["Searcher", Picture, "Agent"], Guidance]
 
 #: Strategy that makes commands from costs: `(key, robot, costs, components) -> the robot's next plan [h 2]`. Its first
 #: command is executed.
@@ -211,7 +207,7 @@ def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], ag
     )
 
 
-def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> _Robot:
+def look(robot: _Robot, frame: Frame, image: Picture, agent: Agent) -> _Robot:
     """Add a camera frame to the map, and ask the guide for new costs."""
     position, cell_size = robot.vehicle.position, agent.mapping.cell_size
     robot = dataclasses.replace(

@@ -5,14 +5,13 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt8, UInt32
+from jaxtyping import Array, Bool, Float, UInt32
 
 from dc2g_jax.grid import FOUR_CONNECTED, geodesic_distance, scaled, shifted, travel_cost
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
@@ -34,6 +33,7 @@ from dc2g_jax.indoor.search.agent import (
     Agent,
     Guidance,
     Guide,
+    Picture,
     Searcher,
     Steering,
     look_around_first,
@@ -41,10 +41,7 @@ from dc2g_jax.indoor.search.agent import (
     with_mpc,
 )
 from dc2g_jax.robot import PAPER_LIKE
-from dc2g_jax.runtime import InputError, jit
-
-#: The picture of a robot's camera, of robots that take some.
-Image = UInt8[Array, "48 64 3"] | None
+from dc2g_jax.runtime import InputError, check_name, jit
 
 #: Weight of the predicted cost relative to the distance over seen floor.
 _WEIGHT = 2.0
@@ -54,7 +51,7 @@ _WEIGHT = 2.0
 _NEAR = 2
 
 
-def true_costs(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def true_costs(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """The exact distance to the nearest object, of an agent that also knows when it has arrived.
 
     The paper's agent with exact costs ends an episode when the goal is visible.
@@ -70,13 +67,13 @@ def true_costs(robot: Searcher, image: Image, agent: Agent) -> Guidance:
     return Guidance(square(agent.true_distance[robot.target], first, side, jnp.inf), jnp.bool_(True))
 
 
-def nowhere(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def nowhere(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """No information, for steering that does not use a guide."""
     del image
     return _exploring(jnp.full_like(robot.costs, jnp.inf))
 
 
-def nearest_frontier(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def nearest_frontier(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """To the nearest unseen floor on the local map, or on the whole map if none is left on the local one.
 
     Small specks of unseen floor count only if nothing else is left.
@@ -95,14 +92,14 @@ def nearest_frontier(robot: Searcher, image: Image, agent: Agent) -> Guidance:
     return _exploring(jax.lax.cond(_begins_here(near), lambda: near, far))
 
 
-def predicted(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def predicted(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """By the costs that a network predicts (section II-B), outside the obstacles seen so far."""
     obstacles = has(_around(robot, agent), OBSTACLE_CHANNEL)
     closed = inflated(obstacles, agent.controller.limits.radius, agent.mapping.cell_size)
     return _exploring(jnp.where(closed, jnp.inf, predicted_costs(robot, image, agent)))
 
 
-def promising_frontier(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+def promising_frontier(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
     """To the unseen floor with the least sum of distance and twice the predicted cost.
 
     This is the rule of this package's `dc2g` planner. The paper's agent instead descends the predicted costs, which
@@ -123,7 +120,7 @@ def until_seen(explorer: Guide) -> Guide:
     Unseen cells count as free. Before, and if there is no path, another guide is used, the explorer.
     """
 
-    def guide(robot: Searcher, image: Image, agent: Agent) -> Guidance:
+    def guide(robot: Searcher, image: Picture, agent: Agent) -> Guidance:
         cells = _around(robot, agent)
         goals = without_specks(has(cells, jnp.asarray(GOALS)[robot.target] - 1))
         obstacles = has(cells, OBSTACLE_CHANNEL)
@@ -135,15 +132,13 @@ def until_seen(explorer: Guide) -> Guide:
 
         distance = jax.lax.cond(jnp.any(goals), to_goals, lambda: jnp.full(goals.shape, jnp.inf, jnp.float32))
         return jax.lax.cond(
-            _begins_here(distance),
-            lambda: Guidance(distance, jnp.bool_(True)),
-            lambda: explorer(robot, image, agent),
+            _begins_here(distance), lambda: Guidance(distance, jnp.bool_(True)), lambda: explorer(robot, image, agent)
         )
 
     return guide
 
 
-def predicted_costs(robot: Searcher, image: Image, agent: Agent) -> Float[Array, "n n"]:
+def predicted_costs(robot: Searcher, image: Picture, agent: Agent) -> Float[Array, "n n"]:
     """The costs that the agent's network predicts, see `learning.networks.CostMapEstimator.estimate`.
 
     Raises:
@@ -170,12 +165,10 @@ def _true_distance(free: Array, classes: Array, radius: float, cell_size: float)
 
 
 def _exploring(distance: Float[Array, "n n"]) -> Guidance:
-    """Costs that do not lead to an object of the wanted class."""
     return Guidance(distance, jnp.bool_(False))
 
 
 def _around(robot: Searcher, agent: Agent) -> UInt32[Array, "n n"]:
-    """The robot's local map."""
     return window(robot.map, robot.local_middle, agent.mapping.local)
 
 
@@ -211,33 +204,36 @@ _AGENTS: dict[str, tuple[Guide, Steering]] = {
 }
 
 
-def estimator_for(agents: Iterable[str], place: str | Path | None) -> CostMapEstimator | None:
-    """The network in a place, by default the shipped one, if one of these agents uses a network, else `None`."""
-    return load_costs(place) if set(ON_NETWORK) & set(agents) else None
-
-
 def agent_with(
-    name: str, estimator: CostMapEstimator | None, samples: int = CONTROLLER.samples, noise: float = 0.0
+    name: str,
+    network: CostMapEstimator | str | Path | None = None,
+    *,
+    samples: int = CONTROLLER.samples,
+    noise: float = 0.0,
 ) -> Agent:
     """The agent of this name.
 
     Args:
       name: one of `AgentName`.
-      estimator: the network, for agents that use one.
+      network: network of agents that use one, or its place, see `learning.networks.load_costs`; `None` for the shipped
+        one.
       samples: plans that the controller samples at each step.
       noise: noise level; 0 is no noise, 1 the presumed noise of the DC2G paper's maps.
 
     Raises:
-      InputError: the agent needs a network.
+      InputError: the name is unknown, or the network cannot be read.
     """
-    if name in ON_NETWORK and estimator is None:
-        raise InputError(f"the agent {name} needs a network; give one")
+    check_name("agent", name, _AGENTS)
     guide, steering = _AGENTS[name]
+    if name not in ON_NETWORK:
+        network = None
+    elif not isinstance(network, CostMapEstimator):
+        network = load_costs(network)
     return Agent(
         guide=guide,
         steering=steering,
         camera=indoor_camera(),
-        estimator=estimator if name in ON_NETWORK else None,
+        estimator=network,
         controller=dataclasses.replace(CONTROLLER, samples=samples),
         noise=scaled(PAPER_LIKE, np.float32(noise)),
     )

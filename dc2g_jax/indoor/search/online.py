@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax.indoor.maps.camera import VIEW_SIZE, camera_pose
 from dc2g_jax.indoor.maps.classes import TARGETS
 from dc2g_jax.indoor.search.agent import DECLARED, Agent, Searcher, arrives, begin, cost_at, look, steer
-from dc2g_jax.indoor.search.guides import agent_with, estimator_for
+from dc2g_jax.indoor.search.guides import agent_with
 from dc2g_jax.robot import (
     CONTROL_PERIOD,
     DRIVING,
@@ -29,7 +29,7 @@ from dc2g_jax.robot import (
     check_shapes,
     reachable_command,
 )
-from dc2g_jax.runtime import InputError, jit, keep_compiled_programs, short
+from dc2g_jax.runtime import InputError, check_name, jit, keep_compiled_programs, short
 
 #: Agents that a robot can be. The others of `search.guides.AgentName` know the house or drive at random.
 ONLINE_AGENTS = ("promising", "predicted", "frontier")
@@ -92,11 +92,11 @@ class OnlineSearcher:
     of its own.
 
     Creating the searcher compiles its programs, which takes some seconds. They are kept on disk (see
-    `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything afterward.
+    `runtime.keep_compiled_programs`), and later starts load them. No call compiles anything afterward.
 
     Args:
       agent: one of `ONLINE_AGENTS`, or any agent whose guide is not privileged.
-      network: folder or place of a trained network for an agent by name, see `estimation.hub.local_folder`;
+      network: folder or place of a trained network for an agent by name, see `estimation.local_folder`;
         `None` for the shipped one.
       camera: intrinsics of the depth images; `None` for the agent's, by default those of the simulated robot,
         `maps.camera.indoor_camera`.
@@ -109,17 +109,12 @@ class OnlineSearcher:
     """
 
     def __init__(
-        self,
-        agent: str | Agent = "promising",
-        *,
-        network: str | Path | None = None,
-        camera: Intrinsics | None = None,
+        self, agent: str | Agent = "promising", *, network: str | Path | None = None, camera: Intrinsics | None = None
     ):
         keep_compiled_programs()
         if isinstance(agent, str):
-            if agent not in ONLINE_AGENTS:
-                raise InputError(f"agent {agent!r}: use one of {', '.join(ONLINE_AGENTS)}, or give one of your own")
-            agent = agent_with(agent, estimator_for([agent], network))
+            check_name("agent for a robot", agent, ONLINE_AGENTS, "or an `Agent` of your own")
+            agent = agent_with(agent, network)
         self.agent = agent if camera is None else dataclasses.replace(agent, camera=camera)
         image, still = (self.agent.camera.height, self.agent.camera.width), (0.0, 0.0, 0.0)
         frame = Frame(jnp.zeros(image), jnp.zeros(image, jnp.uint8), camera_pose(0.0, 0.0, 0.0))
@@ -169,8 +164,7 @@ class OnlineSearcher:
           InputError: a value is invalid, a picture that the agent uses is missing, or there is no frame though the
             target is new.
         """
-        if target not in TARGETS:
-            raise InputError(f"target {short(target)}: give one of {', '.join(TARGETS)}")
+        check_name("target", target, TARGETS)
         goal, agent = np.int32(TARGETS.index(target)), self.agent
         if frame is None and int(memory.target) != goal:
             raise InputError(f"target {target!r} is new to the robot, but there is no frame; give one with it")
@@ -185,7 +179,6 @@ class OnlineSearcher:
 
 
 def _why(mode: str, target: str, cost: float) -> str:
-    """The reason of a decision."""
     if mode == "arrived":
         return f"arrived: the {target} is within reach"
     if mode == "to_goal":
@@ -196,7 +189,6 @@ def _why(mode: str, target: str, cost: float) -> str:
 
 
 def _numbers(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    """The values, if they are finite numbers of this shape, as float32."""
     try:
         numbers = np.asarray(values, np.float32)
     except (TypeError, ValueError):
@@ -207,7 +199,6 @@ def _numbers(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Float[
 
 
 def _vehicle(pose: npt.ArrayLike, speeds: npt.ArrayLike) -> VehicleState:
-    """The state of the robot, if it is valid."""
     x, y, yaw = _numbers("pose", pose, (3,))
     # `remainder` is exact: directions within a half turn stay as they are.
     yaw = np.float32(math.remainder(yaw, 2 * math.pi))
@@ -216,13 +207,11 @@ def _vehicle(pose: npt.ArrayLike, speeds: npt.ArrayLike) -> VehicleState:
 
 
 def _checked_frame(frame: Frame, camera: Intrinsics) -> Frame:
-    """The frame, if it is valid."""
     check_shapes(frame, camera)
     depth, classes = np.asarray(frame.depth), np.asarray(frame.classes)
     if not np.issubdtype(depth.dtype, np.floating) or classes.dtype != np.uint8:
-        raise InputError(
-            f"depth has dtype {depth.dtype} and classes {classes.dtype}; give meters as floats, and classes as uint8"
-        )
+        given = f"depth has dtype {depth.dtype} and classes {classes.dtype}"
+        raise InputError(f"{given}; give meters as floats, and classes as uint8")
     position = _numbers("the camera's position", frame.pose.position, (3,))
     rotation = _numbers("the camera's rotation", frame.pose.rotation, (3, 3))
     pose = CameraPose(jnp.asarray(position), jnp.asarray(rotation))
@@ -230,7 +219,6 @@ def _checked_frame(frame: Frame, camera: Intrinsics) -> Frame:
 
 
 def _checked_picture(image: Any) -> UInt8[np.ndarray, "48 64 3"]:
-    """The picture, if it is valid."""
     picture, shape = np.asarray(image), (*VIEW_SIZE, 3)
     if image is None or picture.dtype != np.uint8 or picture.shape != shape:
         found = "missing" if image is None else f"of dtype {picture.dtype} and shape {picture.shape}"

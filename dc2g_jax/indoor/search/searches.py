@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax.grid import HEADINGS
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
-from dc2g_jax.indoor.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
+from dc2g_jax.indoor.houses.worlds import IndoorWorld, padded_alike, painted, sample_starts, scene
 from dc2g_jax.indoor.maps.camera import camera_pose, view
 from dc2g_jax.indoor.maps.classes import GOALS, TARGETS
 from dc2g_jax.indoor.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
@@ -24,7 +24,6 @@ from dc2g_jax.robot import (
     CONTROL_PERIOD,
     CameraPose,
     Ground,
-    PoseDrift,
     Scene,
     VehicleState,
     at_rest,
@@ -37,7 +36,7 @@ from dc2g_jax.robot import (
     run_all,
     stopped_by_obstacles,
 )
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_name
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -79,7 +78,7 @@ class IndoorRobot(Searcher):
     """
 
     true: VehicleState
-    drift: PoseDrift
+    drift: Float[Array, "3"]
     moved: Float[Array, ""]
     collisions: Int[Array, ""]
     track: Float[Array, "time 5"]
@@ -96,9 +95,10 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
 
 
 def reset(
-    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: IndoorSite, agent: Agent, limit: int
 ) -> IndoorRobot:
     """The robot at its start (x and y, meters, and yaw, radians), with an empty map, for `limit` control periods."""
+    del site
     start, target = search
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
@@ -113,13 +113,11 @@ def reset(
 
 
 def _camera_of(robot: IndoorRobot) -> CameraPose:
-    """The true pose of the robot's camera."""
     x, y = robot.true.position
     return camera_pose(x, y, robot.true.yaw)
 
 
-def _estimated(vehicle: VehicleState, drift: PoseDrift) -> VehicleState:
-    """The vehicle at its estimated pose."""
+def _estimated(vehicle: VehicleState, drift: Float[Array, "3"]) -> VehicleState:
     return dataclasses.replace(vehicle, position=vehicle.position + drift[:2], yaw=vehicle.yaw + drift[2])
 
 
@@ -181,7 +179,6 @@ def is_active(robot: IndoorRobot) -> Bool[Array, ""]:
 
 
 def _tracked(vehicle: VehicleState) -> Float[Array, "5"]:
-    """A row of `IndoorRobot.track`."""
     return jnp.stack([*vehicle.position, vehicle.yaw, vehicle.speed, vehicle.turn_rate])
 
 
@@ -236,8 +233,8 @@ def sample_episodes(
     Raises:
       InputError: there is no episode at all, or the target is no goal class or cannot be reached in a house.
     """
-    if target is not None and target not in TARGETS:
-        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(TARGETS)}")
+    if target is not None:
+        check_name("class of objects to search for", target, TARGETS)
     episodes: list[Search] = []
     for house in houses:
         rng = np.random.default_rng([seed, *house.name.encode()])
@@ -247,10 +244,8 @@ def sample_episodes(
         }
         there = [name for name, drawn in starts.items() if len(drawn)]
         if target is not None and target not in there:
-            raise InputError(
-                f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or "
-                "another --house"
-            )
+            known = ", ".join(there)
+            raise InputError(f"{house.name}: no {target} can be searched for; give one of {known}, or another house")
         targets = [target] * per_house if target else rng.choice(there, per_house).tolist() if there else []
         for number, name in enumerate(targets):
             episodes.append(Search(house.name, name, *starts[name][number].tolist()))
@@ -278,30 +273,16 @@ def search_all(
       seed: of all random numbers of the robots.
       on_progress: called now and then with the number of episodes that have ended.
     """
-    sites, site_numbers = _sites(agent, houses)
+    worlds = padded_alike([house.world for house in houses])
+    made = [site_of(world, house.name, agent) for house, world in zip(houses, worlds, strict=True)]
+    sites = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
+    numbers = {house.name: number for number, house in enumerate(houses)}
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
     own = starts, np.array([TARGETS.index(episode.target) for episode in episodes], np.int32)
-    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
+    where = np.array([numbers[episode.house] for episode in episodes], np.int32)
     track, status, steps, collisions = run_all(
-        at_start, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
+        reset, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
         own, where, sites, agent,
         seed=seed, number=limit, limit=limit, first_steps=_FIRST_LEGS, on_progress=on_progress,
     )  # fmt: skip
     return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
-
-
-def at_start(
-    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: IndoorSite, agent: Agent, limit: int
-) -> IndoorRobot:
-    """See `reset`, which does not need the site."""
-    del site
-    return reset(key, search, agent, limit)
-
-
-def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
-    """Houses of one size as sites, stacked, and the number of each by its name."""
-    worlds = [house.world for house in houses]
-    rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
-    padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
-    sites = [site_of(world, house.name, agent) for house, world in zip(houses, padded, strict=True)]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}

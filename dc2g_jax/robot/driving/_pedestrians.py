@@ -166,9 +166,7 @@ def without_people(
     shown = (depth == nearest) & jnp.isfinite(nearest)
     covered = jnp.any(shown, axis=-1)
     left = dataclasses.replace(
-        frame,
-        depth=jnp.where(covered, 0, frame.depth),
-        classes=jnp.where(covered, jnp.uint8(UNKNOWN), frame.classes),
+        frame, depth=jnp.where(covered, 0, frame.depth), classes=jnp.where(covered, jnp.uint8(UNKNOWN), frame.classes)
     )
     return left, jnp.any(shown, axis=(0, 1))
 

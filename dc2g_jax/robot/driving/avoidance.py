@@ -22,7 +22,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.robot.driving.following import Path, aim, steer
-from dc2g_jax.robot.driving.footprint import Ground, clearance, free_straight, needed_clearance, surroundings
+from dc2g_jax.robot.driving.footprint import Ground, blocked_around, clearance, free_straight, needed_clearance
 from dc2g_jax.robot.driving.vehicle import (
     CONTROL_PERIOD,
     VehicleLimits,
@@ -87,7 +87,7 @@ def detour(
     # People matter as far as the vehicle gets within the horizon; obstacles matter within its braking distance.
     reach = limits.max_speed**2 / (2 * limits.max_acceleration)
     distance = jnp.minimum(jnp.linalg.norm(offset), reach)
-    around = surroundings(ground, state.position, reach + limits.radius)
+    around = blocked_around(ground, state.position, reach + limits.radius)
     pace = (state.speed + limits.max_speed) / 2
 
     def gap(direction: Float[Array, "2"]) -> Float[Array, ""]:
@@ -176,7 +176,7 @@ def _stays_on_ground(
 ) -> Bool[Array, "commands"]:
     """Whether the footprint stays on allowed ground along the whole path, from its start on."""
     longest = limits.max_speed * CONTROL_PERIOD * (_periods(limits) + 1) / 2
-    around = surroundings(ground, start, longest + limits.radius)
+    around = blocked_around(ground, start, longest + limits.radius)
     now = clearance(start, around)
     needed = needed_clearance(limits.radius, path.speed * CONTROL_PERIOD, path.turn_rate * CONTROL_PERIOD, now)
     # A period begins where one ends that is at least as long and as bent, and needs as much clearance.

@@ -1,7 +1,7 @@
 """The whole loop of one robot: camera -> semantic map -> estimator -> Algorithm 2 -> vehicle (paper, section IV-D).
 
 The vehicle gets a command ten times a second. Every few control periods the robot adds a camera frame to its map. A
-planner of `planning.planners` decides on this map as in the gridworld, from the cell and the quarter turn
+planner of `dc2g_jax.planning` decides on this map as in the gridworld, from the cell and the quarter turn
 nearest to the robot's pose. The vehicle follows the plan until it enters the next cell, reaches the end of the plan, or
 a second is over. Then the planner decides again.
 
@@ -13,11 +13,11 @@ up.
 The vehicle avoids the people that its camera has shown in the last few seconds. What a frame tells of them is exact;
 afterwards they are supposed to walk on as they did.
 
-All functions take one robot; `vehicles.fleet` runs many.
+All functions take one robot; `driving.fleet` runs many.
 """
 
 import dataclasses
-from typing import Any, Literal, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,24 +25,7 @@ from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.grid import (
-    FREE,
-    FRONT_DOOR,
-    HEADINGS,
-    NOTHING,
-    TRAVERSABLE,
-    UNKNOWN,
-    Belief,
-    Kernel,
-    NoiseLevels,
-    Pose,
-    PoseSet,
-    World,
-    belief_from_map,
-    bitboard,
-    moved,
-    search,
-)
+from dc2g_jax import grid
 from dc2g_jax.planning import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
 from dc2g_jax.robot.driving._pedestrians import (
     NOWHERE,
@@ -55,7 +38,7 @@ from dc2g_jax.robot.driving._pedestrians import (
 )
 from dc2g_jax.robot.driving.avoidance import People, navigate
 from dc2g_jax.robot.driving.following import ARRIVAL, Path, path_through
-from dc2g_jax.robot.driving.footprint import Ground, cell_at, cell_centers, clearance, surroundings
+from dc2g_jax.robot.driving.footprint import Ground, blocked_around, cell_at, cell_centers, clearance
 from dc2g_jax.robot.driving.robot import DRIVING, SimulatedRobot
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
@@ -66,10 +49,6 @@ from dc2g_jax.robot.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA
 
 #: Status of a robot that has reached a front door, and of one that has nothing left to explore.
 ARRIVED, NOTHING_LEFT = 1, 2
-
-#: Names of `DRIVING`, `ARRIVED` and `NOTHING_LEFT` in tables.
-StatusName = Literal["under_way", "arrived", "nothing_left"]
-STATUS_NAMES: tuple[StatusName, ...] = get_args(StatusName)
 
 #: Largest number of actions of a plan that are executed before the next decision.
 _ACTIONS_AHEAD = 10
@@ -115,10 +94,10 @@ class Equipment:
     """
 
     planner: MapRevisingPlanner
-    sensing: Kernel = struct.field(pytree_node=False)
+    sensing: grid.Kernel = struct.field(pytree_node=False)
     camera: Intrinsics
     mapping: MapSettings
-    noise: NoiseLevels
+    noise: grid.NoiseLevels
     limits: VehicleLimits
     frame_periods: int = struct.field(pytree_node=False, default=2)
 
@@ -171,16 +150,16 @@ class Robot(SimulatedRobot):
 
 
 def reset(
-    key: Key[Array, ""], own: tuple[Pose, ArrayLike], site: Site, equipment: Equipment, pedestrians: int = 0
+    key: Key[Array, ""], own: tuple[grid.Pose, ArrayLike], site: Site, equipment: Equipment, pedestrians: int = 0
 ) -> Robot:
     """The robot at its start. Its own are its pose, and whether it knows the whole map instead of an empty one."""
     start, knows_map = own
     key, own_key = jax.random.split(key)
     cell_size = equipment.mapping.cell_size
     here = jnp.stack([start.x, start.y])
-    position, yaw = cell_centers(here, cell_size), -start.heading * (2 * jnp.pi / HEADINGS)
+    position, yaw = cell_centers(here, cell_size), -start.heading * (2 * jnp.pi / grid.HEADINGS)
     nowhere = jnp.zeros(site.terrain.shape, bool)
-    prior = jnp.where(knows_map, site.terrain, jnp.uint8(UNKNOWN))
+    prior = jnp.where(knows_map, site.terrain, jnp.uint8(grid.UNKNOWN))
     zero = jnp.int32(0)
     people = place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position)
     return Robot(
@@ -193,7 +172,7 @@ def reset(
         missed=nowhere,
         no_door=nowhere,
         terrain=prior,
-        planner_state=equipment.planner.init(World.from_terrain(site.terrain)),
+        planner_state=equipment.planner.init(grid.World.from_terrain(site.terrain)),
         path=path_through(jnp.tile(here, (_ACTIONS_AHEAD + 1, 1)), 1, start.heading, cell_size),
         decided_in=here,
         decided_on=prior,
@@ -269,14 +248,13 @@ def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot
 
 
 def _with_terrain(robot: Robot, equipment: Equipment) -> Robot:
-    """Update the terrain from the map and the corrections."""
-    terrain = jnp.where(robot.prior != UNKNOWN, robot.prior, terrain_map(robot.map, equipment.mapping))
-    terrain = jnp.where(robot.missed & (terrain == UNKNOWN), jnp.uint8(NOTHING), terrain)
-    terrain = jnp.where(robot.no_door & (terrain == FRONT_DOOR), jnp.uint8(FREE), terrain)
+    terrain = jnp.where(robot.prior != grid.UNKNOWN, robot.prior, terrain_map(robot.map, equipment.mapping))
+    terrain = jnp.where(robot.missed & (terrain == grid.UNKNOWN), jnp.uint8(grid.NOTHING), terrain)
+    terrain = jnp.where(robot.no_door & (terrain == grid.FRONT_DOOR), jnp.uint8(grid.FREE), terrain)
     # The robot is on traversable ground.
     column, row = _cell(believed(robot), equipment)
     here = terrain[row, column]
-    here = jnp.where(jnp.asarray(TRAVERSABLE)[here], here, jnp.uint8(FREE))
+    here = jnp.where(jnp.asarray(grid.TRAVERSABLE)[here], here, jnp.uint8(grid.FREE))
     return dataclasses.replace(robot, terrain=terrain.at[row, column].set(here))
 
 
@@ -284,11 +262,11 @@ def decide(robot: Robot, equipment: Equipment) -> Robot:
     """Choose a path (Algorithm 2)."""
     vehicle = believed(robot)
     column, row = _cell(vehicle, equipment)
-    quarter = jnp.round(-vehicle.yaw / (2 * jnp.pi / HEADINGS)).astype(jnp.int32) % HEADINGS
-    pose = Pose(x=column, y=row, heading=quarter)
+    quarter = jnp.round(-vehicle.yaw / (2 * jnp.pi / grid.HEADINGS)).astype(jnp.int32) % grid.HEADINGS
+    pose = grid.Pose(x=column, y=row, heading=quarter)
     robot = _corrected(robot, pose, equipment)
-    belief = belief_from_map(robot.terrain, pose)
-    changed = bitboard.pack(robot.terrain != robot.decided_on)
+    belief = grid.belief_from_map(robot.terrain, pose)
+    changed = grid.bitboard.pack(robot.terrain != robot.decided_on)
     plan, planner_state = equipment.planner.plan(belief, equipment.planner.revised(robot.planner_state, changed))
     cells, length, heading = _path(belief, plan.subgoals)
     # A new map begins with the view to the left.
@@ -339,12 +317,12 @@ def _has_to_decide(robot: Robot, equipment: Equipment) -> Bool[Array, ""]:
     return jnp.where(robot.mode == GAVE_UP, False, elsewhere | waited) | _has_driven_path(robot)
 
 
-def _corrected(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
+def _corrected(robot: Robot, pose: grid.Pose, equipment: Equipment) -> Robot:
     """Note at the end of a path which cells the robot misses there, and that its cell is no door."""
     stands = _has_driven_path(robot)
-    belief = belief_from_map(robot.terrain, pose)
+    belief = grid.belief_from_map(robot.terrain, pose)
     covered = equipment.sensing.visible(pose, belief.opaque, belief.width) & ~belief.seen
-    missed = bitboard.unpack(covered, belief.width)
+    missed = grid.bitboard.unpack(covered, belief.width)
     robot = dataclasses.replace(
         robot,
         missed=robot.missed | (missed & stands & (robot.mode == EXPLORE)),
@@ -353,18 +331,18 @@ def _corrected(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
     return _with_terrain(robot, equipment)
 
 
-def _path(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Array, ""], Int[Array, ""]]:
+def _path(belief: grid.Belief, subgoals: grid.PoseSet) -> tuple[Int[Array, "n 2"], Int[Array, ""], Int[Array, ""]]:
     """The cells of the first actions of a shortest plan into the subgoals (Algorithm 2, line 12).
 
     Returns:
       Column and row of the robot's cell and of the cell after each action; the number of them that count; last heading.
     """
 
-    def act(carry: tuple[Pose, Array], _: None) -> tuple[tuple[Pose, Array], Array]:
+    def act(carry: tuple[grid.Pose, Array], _: None) -> tuple[tuple[grid.Pose, Array], Array]:
         pose, length = carry
-        first = search.first_action(pose, subgoals, belief.traversable)
+        first = grid.search.first_action(pose, subgoals, belief.traversable)
         goes_on = first.length > 0
-        after = moved(pose, first.action, belief.height, belief.width)
+        after = grid.moved(pose, first.action, belief.height, belief.width)
         pose = jax.tree.map(lambda new, old: jnp.where(goes_on, new, old), after, pose)
         return (pose, length + goes_on), jnp.stack([pose.x, pose.y])
 
@@ -375,18 +353,18 @@ def _path(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Arr
 def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
     """One control period: choose a command on the estimated map, and execute it on the true ground."""
     limits, cell_size = equipment.limits, equipment.mapping.cell_size
-    ground = Ground(jnp.asarray(TRAVERSABLE)[robot.terrain], cell_size)
+    ground = Ground(jnp.asarray(grid.TRAVERSABLE)[robot.terrain], cell_size)
     vehicle = believed(robot)
     command = navigate(vehicle, robot.path, ground, _people_around(robot), limits)
     key, walk_key = jax.random.split(robot.key)
     after = drive(robot.vehicle, command, limits)
     sidewalks = Ground(walkable_cells(site.terrain), cell_size)
     people = walk(walk_key, robot.people, sidewalks, robot.vehicle, limits.radius)
-    drivable = Ground(jnp.asarray(TRAVERSABLE)[site.terrain], cell_size)
-    clear = clearance(after.position, surroundings(drivable, after.position, 2 * limits.radius))
+    drivable = Ground(jnp.asarray(grid.TRAVERSABLE)[site.terrain], cell_size)
+    clear = clearance(after.position, blocked_around(drivable, after.position, 2 * limits.radius))
     nearest = jnp.min(jnp.linalg.norm(people.position - after.position, axis=-1))
     column, row = _cell(after, equipment)
-    turned = jnp.abs(after.turn_rate) * CONTROL_PERIOD / (2 * jnp.pi / HEADINGS)
+    turned = jnp.abs(after.turn_rate) * CONTROL_PERIOD / (2 * jnp.pi / grid.HEADINGS)
     return dataclasses.replace(
         robot,
         key=key,
@@ -394,7 +372,7 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
         moved=robot.moved + after.speed * CONTROL_PERIOD + turned,
         people=people,
         periods=robot.periods + 1,
-        status=jnp.where(site.terrain[row, column] == FRONT_DOOR, ARRIVED, robot.status).astype(jnp.int32),
+        status=jnp.where(site.terrain[row, column] == grid.FRONT_DOOR, ARRIVED, robot.status).astype(jnp.int32),
         off_ground=robot.off_ground + (clear < limits.radius),
         touched=robot.touched + (nearest < limits.radius + PERSON_RADIUS),
     )

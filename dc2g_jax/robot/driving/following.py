@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.grid import HEADINGS
-from dc2g_jax.robot.driving.footprint import ROUNDING, Ground, cell_centers, free_straight, surroundings
+from dc2g_jax.robot.driving.footprint import ROUNDING, Ground, blocked_around, cell_centers, free_straight
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, wrapped
 
 #: Largest distance of the target point along the path, meters, and the number of evenly spaced points up to there that
@@ -47,7 +47,7 @@ def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike
     Args:
       cells: columns and rows of consecutive cells, at least two. A cell may repeat, where the plan turns in place.
       length: number of cells that count, at least 1.
-      heading: heading of the plan's last pose, as in `grid.poses`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
+      heading: heading of the plan's last pose, as in `grid.Pose`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
       cell_size: side of a cell, meters.
     """
     index = jnp.minimum(jnp.arange(len(cells)), jnp.asarray(length) - 1)
@@ -77,8 +77,8 @@ def aim(state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits) 
     """
     points = _points_ahead(state.position, path)
     offsets = points - state.position
-    around = surroundings(ground, state.position, _LOOK_AHEAD + limits.radius)
-    # The surroundings are known no farther than this.
+    around = blocked_around(ground, state.position, _LOOK_AHEAD + limits.radius)
+    # Blocked cells are known no farther than this.
     near = jnp.linalg.norm(offsets, axis=-1) < _LOOK_AHEAD + ROUNDING
     free = near & free_straight(state.position, offsets, around, limits.radius)
     return points[jnp.max(jnp.where(free, jnp.arange(len(points)), 0))]

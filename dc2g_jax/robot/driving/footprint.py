@@ -28,7 +28,7 @@ class Ground:
 
 
 @struct.dataclass
-class Surroundings:
+class BlockedCells:
     """The blocked cells around a place.
 
     Attributes:
@@ -62,19 +62,19 @@ def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
     return inside & ground.cells[jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)]
 
 
-def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> Surroundings:
+def blocked_around(ground: Ground, position: Float[Array, "2"], reach: float) -> BlockedCells:
     """The blocked cells within at least `reach` meters of a place."""
     rings = math.ceil(reach / ground.cell_size)
     offsets = jnp.arange(-rings, rings + 1)
     middle = cell_at(position, ground.cell_size)
     cells = jnp.stack(jnp.meshgrid(middle[0] + offsets, middle[1] + offsets, indexing="ij"), axis=-1)
     centers = cell_centers(cells, ground.cell_size)
-    return Surroundings(
+    return BlockedCells(
         blocked=~contains(ground, cells), x=centers[:, 0, 0], y=centers[0, :, 1], half=ground.cell_size / 2
     )
 
 
-def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array, "*n"]:
+def clearance(points: Float[Array, "*n 2"], around: BlockedCells) -> Float[Array, "*n"]:
     """Distance of each point to the nearest blocked cell, meters: 0 inside one, infinite where there is none."""
     off_x = [jnp.maximum(jnp.abs(points[..., 0] - x) - around.half, 0) ** 2 for x in around.x]
     off_y = [jnp.maximum(jnp.abs(points[..., 1] - y) - around.half, 0) ** 2 for y in around.y]
@@ -87,7 +87,7 @@ def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array
 
 
 def free_straight(
-    position: Float[Array, "2"], offsets: Float[Array, "n 2"], around: Surroundings, radius: float
+    position: Float[Array, "2"], offsets: Float[Array, "n 2"], around: BlockedCells, radius: float
 ) -> Bool[Array, "n"]:
     """Whether the footprint stays clear of blocked cells along straight lines from one place to others.
 

@@ -12,7 +12,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int, Key, UInt32
 
-from dc2g_jax.robot.driving.footprint import Ground, clearance, surroundings
+from dc2g_jax.robot.driving.footprint import Ground, blocked_around, clearance
 from dc2g_jax.robot.driving.vehicle import VehicleState
 from dc2g_jax.runtime import batched, deal, gather, jit, mesh_of, not_repeated, on_each, replicate, serve_paced
 
@@ -60,7 +60,7 @@ def stopped_by_obstacles(
     Returns:
       The vehicle at the end of the period, and whether it was stopped.
     """
-    around = surroundings(ground, before.position, radius + 2 * ground.cell_size)
+    around = blocked_around(ground, before.position, radius + 2 * ground.cell_size)
     now, then = clearance(jnp.stack([before.position, after.position]), around)
     bumped = (then < radius) & (then < now)
     position, speed = jnp.where(bumped, before.position, after.position), jnp.where(bumped, 0, after.speed)

@@ -76,10 +76,7 @@ def reachable_command(
     speed = jnp.clip(command[0], state.speed - speed_change, state.speed + speed_change)
     turn_rate = jnp.clip(command[1], state.turn_rate - turn_change, state.turn_rate + turn_change)
     return jnp.stack(
-        [
-            jnp.clip(speed, 0, limits.max_speed),
-            jnp.clip(turn_rate, -limits.max_turn_rate, limits.max_turn_rate),
-        ]
+        [jnp.clip(speed, 0, limits.max_speed), jnp.clip(turn_rate, -limits.max_turn_rate, limits.max_turn_rate)]
     )
 
 

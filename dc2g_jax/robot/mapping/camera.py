@@ -58,7 +58,7 @@ class Frame:
 
     Attributes:
       depth: depth along the optical axis, meters; 0 for pixels without return.
-      classes: class index of each pixel, see `grid.terrain`; 0 without label.
+      classes: class index of each pixel, see `grid.CLASS_NAMES`; 0 without label.
       pose: pose of the camera.
     """
 

@@ -71,7 +71,7 @@ class Scene:
     Attributes:
       field: where positive, height of the tile above the ground, meters. Otherwise the tile is ground, and the value is
         minus its clearance: the number of rings of tiles around it that are ground as well.
-      classes: class index of each tile, see `grid.terrain`.
+      classes: class index of each tile, see `grid.CLASS_NAMES`.
       ceiling: height of the highest tile, meters.
       tile_size: side of a tile, meters.
     """

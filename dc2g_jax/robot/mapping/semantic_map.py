@@ -122,10 +122,7 @@ def empty_map(settings: MapSettings) -> SemanticMap:
     """
     if math.prod(settings.shape) > _MOST_VOXELS:
         raise InputError(f"a map of {settings.shape} has more than {_MOST_VOXELS} voxels; make them larger or fewer")
-    return SemanticMap(
-        log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8),
-        votes=jnp.zeros(settings.shape, _VOTES),
-    )
+    return SemanticMap(log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8), votes=jnp.zeros(settings.shape, _VOTES))
 
 
 def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> SemanticMap:
@@ -145,10 +142,8 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
     """
     check_shapes(frame, intrinsics)
     if semantic_map.log_odds.shape != settings.shape:
-        raise InputError(
-            f"the map has shape {semantic_map.log_odds.shape}, but its settings say {settings.shape}; give the "
-            "settings it was made with"
-        )
+        found = f"the map has shape {semantic_map.log_odds.shape}, but its settings say {settings.shape}"
+        raise InputError(f"{found}; give the settings it was made with")
     window = _window(frame.pose, settings)
     in_reach = (frame.depth > 0) & (frame.depth * _ray_lengths(frame, intrinsics) <= settings.reach)
     frame = dataclasses.replace(frame, depth=jnp.where(in_reach, frame.depth, 0))
@@ -164,7 +159,7 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
 def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array, "h w"]:
     """Project the map to the ground: the class index of every cell, as planners take it.
 
-    See `grid.gridworld.belief_from_map`. A cell with an obstacle within the clearance above the ground has the
+    See `grid.belief_from_map`. A cell with an obstacle within the clearance above the ground has the
     class with the most votes among the occupied voxels ("nothing" if none has a label). Any other cell has the class of
     its ground if that has been seen and has a label, else 0 (unknown).
     """
@@ -181,7 +176,6 @@ def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array
 
 
 def _window(pose: CameraPose, settings: MapSettings) -> _Window:
-    """The window of the map that contains everything within reach of the camera."""
     cells = math.ceil((settings.reach + settings.inset) / settings.cell_size)
     rows, columns = min(2 * cells + 1, settings.rows), min(2 * cells + 1, settings.columns)
     x, y = pose.position[0] / settings.cell_size, pose.position[1] / settings.cell_size
@@ -241,7 +235,6 @@ def _looked_through(
 
 
 def _nearest_around(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """The minimum over each pixel and its eight neighbors."""
     height, width = depth.shape
     padded = jnp.pad(depth, 1, constant_values=jnp.inf)
     in_row = functools.reduce(jnp.minimum, [padded[:, column : column + width] for column in range(3)])
@@ -292,5 +285,5 @@ def check_frame(frame: Frame, settings: MapSettings) -> None:
     for row, column in np.argwhere(classes >= len(CLASS_NAMES))[:1]:
         raise InputError(
             f"classes[{row}, {column}] is {classes[row, column]}; give class indices from 0 (no label) to "
-            f"{len(CLASS_NAMES) - 1}, see dc2g_jax._src.grid.terrain.CLASS_NAMES"
+            f"{len(CLASS_NAMES) - 1}, see dc2g_jax.grid.CLASS_NAMES"
         )

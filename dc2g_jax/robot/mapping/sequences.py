@@ -13,7 +13,7 @@ From the benchmark (Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM S
 Additions:
 
 - `classes.txt` lists class images as `depth.txt` lists depth images, pixel-aligned with them. A class image is an 8-bit
-  grayscale PNG with the class indices of `grid.terrain`, 0 without label. If the folder has a palette,
+  grayscale PNG with the class indices of `grid.CLASS_NAMES`, 0 without label. If the folder has a palette,
   `labels_colors.csv`, class images are color images in its colors instead.
 - `camera.txt` has one line with the intrinsics: focal_x focal_y center_x center_y width height. Images have no
   distortion.
@@ -48,7 +48,7 @@ from dc2g_jax.files import (
 )
 from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.robot.mapping.semantic_map import MapSettings
-from dc2g_jax.runtime import InputError
+from dc2g_jax.runtime import InputError, check_number
 
 #: Units of a depth image per meter.
 DEPTH_UNITS = 5000.0
@@ -78,15 +78,7 @@ _TIME = operator.itemgetter(0)
 
 
 class _FrameFiles(NamedTuple):
-    """A depth image with the class image, color image and pose nearest in time.
-
-    Attributes:
-      time: time of the depth image, seconds.
-      depth: file of the depth image.
-      classes: file of the class image.
-      picture: file of the color image, if there is one.
-      pose: pose of the camera.
-    """
+    """The files of a depth image, and of the class image, color image and pose nearest to its time, in seconds."""
 
     time: float
     depth: Path
@@ -101,13 +93,13 @@ class ImageSequence:
 
     Attributes:
       intrinsics: intrinsics of the camera.
-      moments: moments in temporal order.
+      frames: the files and pose of each frame, in temporal order.
       skipped: number of depth images without a class image or pose near them in time.
       palette: palette of the class images; `None` where they hold class indices.
     """
 
     intrinsics: Intrinsics
-    moments: tuple[_FrameFiles, ...]
+    frames: tuple[_FrameFiles, ...]
     skipped: int
     palette: Palette | None
 
@@ -133,48 +125,47 @@ def read_sequence(folder: str | Path) -> ImageSequence:
     depth, classes = (_read_list(folder / name) for name in (DEPTH_LIST, CLASS_LIST))
     pictures = _read_list(folder / PICTURE_LIST) if (folder / PICTURE_LIST).exists() else []
     poses = _read_poses(folder / POSE_LIST)
-    moments = []
+    frames = []
     for time, file in depth:
         class_file, picture, pose = (_nearest(listed, time) for listed in (classes, pictures, poses))
         if class_file is not None and pose is not None:
-            moments.append(_FrameFiles(time, file, class_file, picture, pose))
-    if not moments:
+            frames.append(_FrameFiles(time, file, class_file, picture, pose))
+    if not frames:
         raise InputError(
             f"{folder}: none of its {len(depth)} depth images has a class image and a pose within {_TOLERANCE:g} "
             f"s; compare the times in {DEPTH_LIST}, {CLASS_LIST} and {POSE_LIST}"
         )
     palette = read_palette(folder / PALETTE_FILE) if (folder / PALETTE_FILE).exists() else None
-    return ImageSequence(intrinsics, tuple(moments), len(depth) - len(moments), palette)
+    return ImageSequence(intrinsics, tuple(frames), len(depth) - len(frames), palette)
 
 
-def read_frame(sequence: ImageSequence, moment: _FrameFiles) -> Frame:
-    """Read the depth and class images of a moment; NumPy arrays on the host.
+def read_frame(sequence: ImageSequence, files: _FrameFiles) -> Frame:
+    """Read the depth and class images of a frame; NumPy arrays on the host.
 
     Raises:
       InputError: an image is missing or damaged, or has the wrong size or kind.
     """
     size = sequence.intrinsics.width, sequence.intrinsics.height
     of_depth = f"depth in 5000 steps a meter of {CAMERA_FILE}'s size"
-    steps = np.array(read_png(moment.depth, ("16-bit grayscale",), of_depth, size=size))
+    steps = np.array(read_png(files.depth, ("16-bit grayscale",), of_depth, size=size))
     if sequence.palette is None:
         indices = f"class indices of {CAMERA_FILE}'s size, or lay a palette {PALETTE_FILE} beside them"
-        classes = np.array(read_png(moment.classes, ("8-bit grayscale",), indices, size=size))
+        classes: Any = np.array(read_png(files.classes, ("8-bit grayscale",), indices, size=size))
     else:
-        classes = read_class_image(moment.classes, sequence.palette, size=size)
+        classes = read_class_image(files.classes, sequence.palette, size=size)
     depth: Any = steps.astype(np.float32) / np.float32(DEPTH_UNITS)
-    labels: Any = classes
-    return Frame(depth=depth, classes=labels, pose=moment.pose)
+    return Frame(depth=depth, classes=classes, pose=files.pose)
 
 
-def read_picture(moment: _FrameFiles) -> bytes | None:
-    """The encoded bytes of a moment's color image; `None` if it has none.
+def read_picture(files: _FrameFiles) -> bytes | None:
+    """The encoded bytes of a frame's color image; `None` if it has none.
 
     Raises:
       InputError: the file cannot be read.
     """
-    if moment.picture is None:
+    if files.picture is None:
         return None
-    return read_bytes(moment.picture, "put the image there, or repair the list", at_most=TEXT)
+    return read_bytes(files.picture, "put the image there, or repair the list", at_most=TEXT)
 
 
 def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSequence:
@@ -185,11 +176,11 @@ def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSeque
       offset: offset to add to the camera's positions, x, y and z in meters.
     """
     shift = offset.astype(np.float32)
-    moments = tuple(
-        moment._replace(pose=moment.pose.replace(position=moment.pose.position + shift))  # type: ignore[attr-defined]
-        for moment in sequence.moments
+    frames = tuple(
+        files._replace(pose=dataclasses.replace(files.pose, position=files.pose.position + shift))
+        for files in sequence.frames
     )
-    return dataclasses.replace(sequence, moments=moments)
+    return dataclasses.replace(sequence, frames=frames)
 
 
 def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[ImageSequence, MapSettings]:
@@ -206,15 +197,13 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
     Raises:
       InputError: the map would have more than 16,777,216 cells.
     """
-    ways = np.stack([moment.pose.position[:2] for moment in sequence.moments]).astype(np.float64)
+    ways = np.stack([files.pose.position[:2] for files in sequence.frames]).astype(np.float64)
     low = np.floor((ways.min(axis=0) - reach) / cell_size)
     high = np.ceil((ways.max(axis=0) + reach) / cell_size)
     columns, rows = (high - low).astype(int).tolist()
     if rows * columns > MOST_CELLS:
-        raise InputError(
-            f"the camera's path needs a map of {columns} x {rows} cells of {cell_size:g} m, more than {MOST_CELLS} in "
-            f"all; give larger cells, or repair {POSE_LIST}"
-        )
+        size = f"{columns} x {rows} cells of {cell_size:g} m"
+        raise InputError(f"the path needs a map of {size}, over {MOST_CELLS}; give larger cells, or repair {POSE_LIST}")
     offset = cell_size * np.array([-low[0], -high[1], 0.0])
     return moved(sequence, offset), MapSettings(rows=rows, columns=columns, cell_size=cell_size, reach=reach)
 
@@ -286,13 +275,11 @@ def _nearest(listed: list[tuple[float, Any]], time: float) -> Any:
 
 
 def _read_list(path: Path) -> list[tuple[float, Path]]:
-    """Times and files of a list of images, in temporal order."""
     files = ((_numbers(path, line, [time])[0], path.parent / file) for line, (time, file) in _lines(path))
     return sorted(files, key=_TIME)
 
 
 def _read_poses(path: Path) -> list[tuple[float, CameraPose]]:
-    """Times and poses, in temporal order."""
     poses = []
     for line, words in _lines(path, _POSE_FIELDS):
         time, *numbers = _numbers(path, line, words)
@@ -312,10 +299,12 @@ def _read_camera(path: Path) -> Intrinsics:
         raise InputError(f"{path}: has {len(lines)} lines; give one: {' '.join(_CAMERA_FIELDS)}")
     values = dict(zip(_CAMERA_FIELDS, _numbers(path, *lines[0]), strict=True))
     for name, value in values.items():
-        whole, positive = name in ("width", "height"), not name.startswith("center")
-        if abs(value) > MOST_PIXELS or (whole and not value.is_integer()) or (positive and value <= 0):
-            kind = f"{'whole ' if whole else ''}pixels, {'above 0 and ' if positive else ''}at most {MOST_PIXELS}"
-            raise InputError(f"{path}: {name} is {value:g}; give {kind}")
+        if name in ("width", "height"):
+            number = int(value) if value.is_integer() else value
+            check_number(f"{path}: {name}", number, whole=True, least=1, most=MOST_PIXELS, hint="pixels")
+        else:
+            above = -MOST_PIXELS if name.startswith("center") else 0
+            check_number(f"{path}: {name}", value, above=above, most=MOST_PIXELS, hint="pixels")
     lenses: dict[str, Any] = {name: jnp.float32(values[name]) for name in _CAMERA_FIELDS[:4]}
     return Intrinsics(**lenses, height=int(values["height"]), width=int(values["width"]))
 
@@ -337,5 +326,4 @@ def _lines(path: Path, fields: tuple[str, ...] = _LIST_FIELDS) -> Iterator[tuple
 
 
 def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
-    """The numbers of a line."""
     return [finite_number(f"{path}: line {line}", word, "repair the line") for word in words]

@@ -6,12 +6,12 @@ from hypothesis import given, settings, strategies as st
 
 from dc2g_jax.robot.driving.footprint import (  # fmt: skip
     Ground,
+    blocked_around,
     cell_at,
     cell_centers,
     clearance,
     distance_to_segment,
     needed_clearance,
-    surroundings,
 )
 from tests.oracles import vehicle_oracle
 from tests.support.maps import random_cells, seeds
@@ -21,7 +21,9 @@ CELL_SIZE, REACH = 0.8, 1.5
 
 @pytest.fixture(scope="module")
 def clearances():
-    return jax.jit(lambda cells, place, points: clearance(points, surroundings(Ground(cells, CELL_SIZE), place, REACH)))
+    return jax.jit(
+        lambda cells, place, points: clearance(points, blocked_around(Ground(cells, CELL_SIZE), place, REACH))
+    )
 
 
 @settings(max_examples=30)

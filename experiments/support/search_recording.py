@@ -6,9 +6,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dc2g_jax.indoor.figures import ROWS, RecordedSearch, cost_image, robots_map
+from dc2g_jax._src.viewer import legend
+from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, send_curve, send_track
 from dc2g_jax.indoor.maps.classes import OBJECT_CLASSES
-from dc2g_jax.inspection import SO_FAR, first_view, legend, open_recording, send_curve, send_track
+from experiments.support.search_figures import ROWS, RecordedSearch, cost_image, robots_map
 
 #: Entities of the three maps.
 _MAPS = ("true_map", "robots_map", "costs")

@@ -20,12 +20,16 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
 
+from dc2g_jax._src.figures._sheets import DPI, FONT, cell_rim
+from dc2g_jax._src.figures._video import Picture
+from dc2g_jax._src.figures.animation import write_animation
+from dc2g_jax._src.figures.costs import end_of_colors
+from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, save_figure
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
 from dc2g_jax.indoor.maps.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
 from dc2g_jax.indoor.maps.cost_maps import Cells
 from dc2g_jax.indoor.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
-from dc2g_jax.inspection import DPI, FONT, PAGE_WIDTH, Picture, cell_rim, end_of_colors, save_figure, write_animation
-from dc2g_jax.robot import ROBOT_ARROW
+from experiments.support.drive_figures import ROBOT_ARROW
 
 #: Low costs are green and high costs red, as in the paper. Brightness decreases too, so they also differ in grayscale.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
@@ -54,7 +58,7 @@ class SearchMoment(NamedTuple):
     Attributes:
       step: control periods since the start.
       doing: current activity in words.
-      cells: the robot's map, see `search_indoors.maps.mapping.IndoorMap`.
+      cells: the robot's map, see `indoor.maps.mapping.IndoorMap`.
       origin: row and column of the map's first cell in the world's grid.
       costs: costs around the robot, meters; infinite where it must not be.
       corner: row and column of the first cell of the costs in the world's grid.
@@ -77,7 +81,7 @@ class RecordedSearch:
     Attributes:
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `search_indoors.search.searches.IndoorRobot`, from step 0 on.
+      track: the robot's track, see `indoor.search.searches.IndoorRobot`, from step 0 on.
       moments: moments of the search in order, at least one.
     """
 
@@ -134,7 +138,7 @@ class PredictedMap(NamedTuple):
     """A network's prediction for a robot's local map, and the truth.
 
     Attributes:
-      cells: the robot's map, see `search_indoors.maps.mapping.IndoorMap`.
+      cells: the robot's map, see `indoor.maps.mapping.IndoorMap`.
       occupied: cells predicted to be occupied.
       truly_occupied: cells that are not free floor.
       cost: predicted cost, meters beyond that of the best cell; infinite where predicted to be occupied.
@@ -217,7 +221,7 @@ def search_pictures(search: RecordedSearch, numbers: Iterable[int]) -> Iterator[
 
 
 def animate_search(path: str | Path, search: RecordedSearch) -> None:
-    """Write an animation of a search, see `search_pictures`, as `figures.animation.write_animation` does."""
+    """Write an animation of a search, see `search_pictures`, as `write_animation` does."""
     paint = functools.partial(search_pictures, search)
     write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
 

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
-from dc2g_jax.indoor.figures import PredictedMap, SearchMoment
+from dc2g_jax._src.figures._sheets import spread
+from dc2g_jax._src.programs import jit
 from dc2g_jax.indoor.maps.mapping import square, window
 from dc2g_jax.indoor.search.agent import Agent, cost_of_pose, weighed
 from dc2g_jax.indoor.search.guides import predicted_costs, true_costs
@@ -20,8 +21,7 @@ from dc2g_jax.indoor.search.searches import (
     look_and_decide,
     picture,
 )
-from dc2g_jax.inspection import spread
-from dc2g_jax.runtime import jit
+from experiments.support.search_figures import PredictedMap, SearchMoment
 
 
 def run_search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[IndoorRobot], IndoorRobot]:

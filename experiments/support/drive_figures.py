@@ -13,21 +13,17 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path
 
-from dc2g_jax.grid import CLASS_NAMES, TRAVERSABLE, UNKNOWN
-from dc2g_jax.inspection import (
-    BLOCKED_COLOR,
-    COST_COLORS,
-    UNSEEN_COLOR,
+from dc2g_jax._src.figures._sheets import spread
+from dc2g_jax._src.figures.costs import BLOCKED_COLOR, COST_COLORS, UNSEEN_COLOR, cost_image, end_of_colors
+from dc2g_jax._src.figures.results_figures import (
     class_patch,
-    cost_image,
-    end_of_colors,
     legend_patch,
     map_image,
     plain_axes,
     present_classes,
     save_figure,
-    spread,
 )
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
 from dc2g_jax.robot.driving.fleet import Moment
 
 #: Network -> label, color, line and marker.
@@ -48,7 +44,7 @@ def plot_noise(
     Args:
       path: output path without ending; PNG, SVG and PDF are written.
       levels: levels of noise.
-      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `cli.commands.noisy_mapping`.
+      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `experiments.noisy_mapping`.
       caption: description of drives and houses.
     """
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")

@@ -7,7 +7,10 @@ from flax import struct
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from dc2g_jax.indoor.figures import (
+from dc2g_jax.indoor.maps.classes import GOALS, PLANT
+from dc2g_jax.indoor.search.guides import true_distance
+from dc2g_jax.indoor.search.searches import reset, site_of
+from experiments.support.search_figures import (
     PATH_COLOR,
     ROBOT_COLOR,
     TARGET_COLOR,
@@ -17,11 +20,8 @@ from dc2g_jax.indoor.figures import (
     plot_prediction,
     search_pictures,
 )
-from dc2g_jax.indoor.maps.classes import GOALS, PLANT
-from dc2g_jax.indoor.moments import choose_legs, prediction_at
-from dc2g_jax.indoor.recording import record_search
-from dc2g_jax.indoor.search.guides import true_distance
-from dc2g_jax.indoor.search.searches import reset, site_of
+from experiments.support.search_moments import choose_legs, prediction_at
+from experiments.support.search_recording import record_search
 from tests.support.recordings import read
 from tests.support.two_rooms import AGENT, two_rooms
 
@@ -43,7 +43,7 @@ class EastIsGood:
 
 def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     world, side = two_rooms().world, AGENT.mapping.local
-    robot = reset(jax.random.key(0), (jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT))), AGENT, 5)
+    robot = reset(jax.random.key(0), (jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT))), None, AGENT, 5)
     site = site_of(world, "two_rooms", AGENT)
     truth = true_distance(world, AGENT)
     knowing = AGENT.replace(estimator=EastIsGood(), true_distance=truth)
