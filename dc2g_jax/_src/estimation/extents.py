@@ -35,7 +35,7 @@ def read_cells(
 
 
 @dataclasses.dataclass(frozen=True)
-class Surroundings(Extent):
+class TownWindow(Extent):
     """In towns, a window that is moved into the map; elsewhere the whole map.
 
     The network knows one house with its surroundings. It resamples larger maps to the size of its training maps, which

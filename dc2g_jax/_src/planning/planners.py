@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
-from dc2g_jax._src.estimation.extents import Surroundings
+from dc2g_jax._src.estimation.extents import TownWindow
 from dc2g_jax._src.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
@@ -358,7 +358,7 @@ class DC2G(AskingPlanner):
       replan_fraction: share of the cells in the field of view that must be newly seen before the planner decides anew;
         it also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
       magnifies: whether the estimator is given a part of the map of a town, see
-        `estimation.extents.Surroundings`.
+        `estimation.extents.TownWindow`.
       memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
     """
 
@@ -407,7 +407,7 @@ class DC2G(AskingPlanner):
         if not self.magnifies or max(world.height, world.width) <= side:
             return extent_of(self.estimator)
         zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
-        return Surroundings(zooms, side, float(side))
+        return TownWindow(zooms, side, float(side))
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """The selection rule's summary of the estimate.
