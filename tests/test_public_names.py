@@ -36,8 +36,8 @@ def test_importing_the_package_imports_nothing_else():
     assert not loaded & {"gymnasium", "jax", "numpy"}
 
 
-#: What only the extra `all` installs. (flax installs optax and Orbax too.)
-EXTRA_MODULES = {"cv2", "gymnasium", "matplotlib", "orbax", "rerun", "tyro"}
+#: What only the extra `all` installs. (flax installs optax too.)
+EXTRA_MODULES = {"cv2", "gymnasium", "matplotlib", "rerun", "tyro"}
 
 CORE = """
 import sys
@@ -70,9 +70,7 @@ def test_planners_environments_and_the_network_come_without_the_extra():
         "gave_up 2",
         'cv2, matplotlib: not installed; run: pip install "dc2g_jax[all]"',
     ]
-    assert (
-        done.stderr == 'error: cv2, matplotlib, orbax, rerun, tyro: not installed; run: pip install "dc2g_jax[all]"\n'
-    )
+    assert done.stderr == 'error: cv2, matplotlib, rerun, tyro: not installed; run: pip install "dc2g_jax[all]"\n'
     assert done.returncode == 2
 
 

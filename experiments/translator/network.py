@@ -16,7 +16,7 @@ import numpy as np
 from flax import nnx, struct
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.estimation.checkpoints import Kind
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.weights import shapes_of_weights, with_weights
@@ -56,10 +56,8 @@ class TranslatorArchitecture:
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096 or self.size & (self.size - 1):
             raise InputError(f"size {self.size}: give a power of two from 32 to 4096")
-        if not 1 <= self.base_filters <= 1024:
-            raise InputError(f"base_filters {self.base_filters}: give a number from 1 to 1024")
-        if self.compute_dtype not in _COMPUTE_DTYPES:
-            raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(_COMPUTE_DTYPES)}")
+        check_number("base_filters", self.base_filters, whole=True, least=1, most=1024)
+        check_name("compute_dtype", self.compute_dtype, _COMPUTE_DTYPES)
 
     @property
     def widths(self) -> tuple[int, ...]:

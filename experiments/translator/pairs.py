@@ -10,7 +10,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
@@ -186,8 +186,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
     Raises:
       InputError: no house of the split can be used, or there are no masks.
     """
-    if per_house < 1:
-        raise InputError(f"{split}: {per_house} masks a house make no pairs; ask for at least 1")
+    check_number("masks per house", per_house, whole=True, least=1)
     houses = houses_with_door(dataset, split)
     if masks == "paper":
         return all_pairs(houses, drawn_masks(per_house, size, seed=MASK_SEEDS[split]))

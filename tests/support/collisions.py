@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax  # noqa: F401 before the change: what libraries compile is theirs
-import orbax.checkpoint  # noqa: F401
 from flax import nnx, struct  # noqa: F401
 
 _jit = jax.jit

@@ -12,6 +12,6 @@ def prepare() -> None:
     Raises:
       InputError: the extra `all`, which every command needs, is not installed.
     """
-    require_extra("cv2", "matplotlib", "orbax", "rerun", "tyro")
+    require_extra("cv2", "matplotlib", "rerun", "tyro")
     if not sys.stderr.isatty():
         os.environ.setdefault("TQDM_MININTERVAL", "15")

@@ -1,12 +1,10 @@
-"""Networks (safetensors and a card) and training states (Orbax) on disk, validated when loaded."""
+"""Networks (weights and a card) and training states on disk, in safetensors files, validated when loaded."""
 
-import contextlib
 import dataclasses
 import functools
 import json
-import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from flax import nnx
 
-from dc2g_jax._src.errors import InputError, require_extra, short
+from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture, make_network
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, write_safetensors
@@ -34,7 +32,6 @@ SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compac
 CARD, WEIGHTS = "network.json", "weights.safetensors"
 
 _CONFIG = "config.json"
-_STATES = "states"
 
 
 class Kind(NamedTuple):
@@ -69,33 +66,6 @@ def _like(default: Any, value: Any) -> Any:
     if isinstance(default, tuple):
         return tuple(_like(default[0], one) for one in value)
     return whole_number(value) if isinstance(default, int) else number(value) if isinstance(default, float) else value
-
-
-def _orbax() -> Any:
-    """Import Orbax, which takes a second and is only needed for training states."""
-    require_extra("orbax")
-    import orbax.checkpoint
-
-    return orbax.checkpoint
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence Orbax's progress reports, which go to absl's logger."""
-    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
-
-
-def reason(error: Exception) -> str:
-    """The first nonblank line of an error's message."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]
 
 
 def write_network(
@@ -214,9 +184,15 @@ def network_in_folder(folder: str | os.PathLike[str] | None = None) -> Any:
     return kind.estimator(weights=weights, architecture=architecture)
 
 
+def _states(folder: str | Path) -> dict[int, Path]:
+    """The training states in a run's folder by their steps, ascending."""
+    paths = {int(path.stem): path for path in (Path(folder) / "states").glob("*.safetensors") if path.stem.isdecimal()}
+    return dict(sorted(paths.items()))
+
+
 def newest_step(folder: str | Path) -> int:
     """Number of steps of the newest training state in a run's folder; 0 if there is none."""
-    return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdecimal()), default=0)
+    return max(_states(folder), default=0)
 
 
 class TrainingCheckpoints:
@@ -229,7 +205,7 @@ class TrainingCheckpoints:
       first_state: `config -> state` before the first step, with an attribute `step`.
 
     Raises:
-      InputError: the folder holds a run of another configuration, or Orbax is not installed.
+      InputError: the folder holds a run of another configuration.
     """
 
     def __init__(
@@ -240,43 +216,26 @@ class TrainingCheckpoints:
         *,
         first_state: Callable[[Any], Any],
     ):
-        self._first_state, self._orbax = functools.partial(first_state, config), _orbax()
-        folder = Path(folder).absolute()
-        folder.mkdir(parents=True, exist_ok=True)
-        wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
-        if (folder / _CONFIG).exists():
-            found = read_object(folder / _CONFIG, "give another folder")
-            changed = [name for name in wanted if found.get(name) != wanted[name]]
-            if changed:
-                name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
-                if isinstance(was, dict) and isinstance(now, dict):
-                    within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
-                    name, was, now = f"{name}: {within}", was.get(within), now.get(within)
-                raise InputError(
-                    f"{folder / _CONFIG}: {name} was {short(was)} in the run that is there, now {short(now)}; give the "
-                    "same options to resume it, or another folder"
-                )
-        else:
-            write_json(folder / _CONFIG, wanted)
-        self._folder = folder / _STATES
-        self._folder.mkdir(exist_ok=True)
-        with _quiet():
-            self._manager = self._orbax.CheckpointManager(
-                self._folder,
-                options=self._orbax.CheckpointManagerOptions(
-                    max_to_keep=2,
-                    create=False,
-                    enable_async_checkpointing=False,  # its signals may be those of all processes
-                    # Each process has its own folder.
-                    multiprocessing_options=self._orbax.options.MultiprocessingOptions(
-                        primary_host=None, active_processes={jax.process_index()}
-                    ),
-                ),
+        self._first_state, self._folder = functools.partial(first_state, config), Path(folder).absolute()
+        (self._folder / "states").mkdir(parents=True, exist_ok=True)
+        path, wanted = self._folder / _CONFIG, json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
+        if not path.exists():
+            write_json(path, wanted)
+        found = read_object(path, "give another folder")
+        changed = [name for name in wanted if found.get(name) != wanted[name]]
+        if changed:
+            name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
+            if isinstance(was, dict) and isinstance(now, dict):
+                within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
+                name, was, now = f"{name}: {within}", was.get(within), now.get(within)
+            raise InputError(
+                f"{path}: {name} was {short(was)} in the run that is there, now {short(now)}; give the same options to "
+                "resume it, or another folder"
             )
 
     def steps(self) -> list[int]:
         """Steps with a saved state, ascending."""
-        return sorted(self._manager.all_steps())
+        return list(_states(self._folder))
 
     def restore(self, step: int | None = None) -> Any:
         """The state after `step`, whose later ones are deleted; by default the newest, or the first if none is saved.
@@ -284,35 +243,25 @@ class TrainingCheckpoints:
         Raises:
           InputError: the state is damaged, or from another version of the program.
         """
-        if step is None:
-            step = self._manager.latest_step()
-        if step is None:
+        states = _states(self._folder)
+        if not states:
             return self._first_state()
+        step = max(states) if step is None else step
         self.delete(after=step)
-        template = jax.eval_shape(self._first_state)
-        try:
-            with _quiet():
-                restored = self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
-        except Exception as error:  # Orbax raises many types
-            raise InputError(
-                f"{self._folder / str(step)}: cannot be restored ({reason(error)}); delete it to go on from an "
-                "earlier state, or train anew in another folder"
-            ) from None
-        # Not bound to the devices that Orbax put it on.
-        return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
+        remedy = "delete it to go on from an earlier state, or train anew in another folder"
+        return read_weights(states[step], jax.eval_shape(self._first_state), remedy, dtype=None)
 
     def delete(self, *, after: int = -1) -> None:
         """Delete the states after a step; by default all states."""
-        for step in self.steps():
+        for step, path in _states(self._folder).items():
             if step > after:
-                self._manager.delete(step)
+                path.unlink()
 
     def save(self, state: Any) -> None:
-        """Save a state and wait until it is on disk."""
-        with _quiet():
-            self._manager.save(int(state.step), args=self._orbax.args.StandardSave(jax.tree.map(np.asarray, state)))
-            self._manager.wait_until_finished()
+        """Save a state, and delete all but the newest two."""
+        write_safetensors(self._folder / "states" / f"{int(state.step)}.safetensors", state)
+        for path in list(_states(self._folder).values())[:-2]:
+            path.unlink()
 
     def close(self) -> None:
-        """Release the folder."""
-        self._manager.close()
+        """Nothing is held open between calls."""

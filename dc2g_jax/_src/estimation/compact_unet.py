@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float, Int, Shaped, UInt8
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.own_parts import own_part
@@ -18,14 +18,8 @@ from dc2g_jax._src.programs import jit
 #: Name of the class below among networks.
 COMPACT_UNET = "compact_unet"
 
-#: Largest side of a patch in cells, and largest number of scales.
-_LARGEST_PATCH, _MOST_SCALES = 64, 16
-
 #: Largest number of channels.
 _WIDEST = 4096
-
-#: Longest side of training maps, in cells.
-_LONGEST_SIDE = 4096
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,21 +50,16 @@ class Architecture:
     network: str = COMPACT_UNET
 
     def __post_init__(self) -> None:
-        if not 2 <= len(self.widths) <= _MOST_SCALES or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
-            raise InputError(
-                f"widths {short(self.widths)}: give 2 to {_MOST_SCALES} scales, each with a width of 1 to {_WIDEST}"
-            )
+        check_number("number of widths", len(self.widths), least=2, most=16)
+        for width in self.widths:
+            check_number("width", width, whole=True, least=1, most=_WIDEST, hint="channels")
         levels = self.quantiles
         if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
             raise InputError(f"quantiles {short(levels)}: give ascending levels between 0 and 1, one at least")
-        if not 0 < self.cost_scale < float("inf"):
-            raise InputError(f"cost_scale {short(self.cost_scale)}: give cells, a number above 0")
-        if not 1 <= self.side <= _LONGEST_SIDE:
-            raise InputError(f"side {short(self.side)}: give 1 to {_LONGEST_SIDE} cells")
-        if not 1 <= self.patch <= _LARGEST_PATCH:
-            raise InputError(f"patch {short(self.patch)}: give 1 to {_LARGEST_PATCH} cells")
-        if not 0 <= self.embedding <= _WIDEST:
-            raise InputError(f"embedding {short(self.embedding)}: give 1 to {_WIDEST} features, or 0 for none")
+        check_number("cost_scale", self.cost_scale, above=0, hint="cells")
+        check_number("side", self.side, whole=True, least=1, most=4096, hint="cells")
+        check_number("patch", self.patch, whole=True, least=1, most=64, hint="cells")
+        check_number("embedding", self.embedding, whole=True, least=0, most=_WIDEST, hint="features")
 
 
 def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:
@@ -222,10 +211,10 @@ def make_network(architecture: Architecture, *, rngs: nnx.Rngs) -> Any:
     """
     if architecture.network == COMPACT_UNET:
         return CompactUNet(architecture, rngs=rngs)
-    own: Any = own_part("network", architecture.network, (COMPACT_UNET,))
+    own = own_part("network", architecture.network, (COMPACT_UNET,))
     if not (isinstance(own, type) and issubclass(own, nnx.Module)):
         raise InputError(f"network {architecture.network!r}: is {short(own)}; give a subclass of flax.nnx.Module")
-    return own(architecture, rngs=rngs)
+    return own(architecture, rngs=rngs)  # type: ignore[call-arg]
 
 
 def check_network(architecture: Architecture) -> None:

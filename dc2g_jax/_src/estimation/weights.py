@@ -101,17 +101,24 @@ def read_safetensors(
     return arrays
 
 
-def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """Read the weights of a known network from a file, as float32.
+def read_weights(
+    path: str | Path,
+    shapes: Any,
+    remedy: str = "keep the files of one training together",
+    *,
+    dtype: Any = jnp.float32,
+) -> Any:
+    """Read the weights of a known network, or another tree of arrays, from a file of `write_safetensors`.
 
     Args:
       path: the file.
-      shapes: nested dictionary of values with the shapes of the network's weights.
+      shapes: tree of values with the shapes of the arrays, such as that of `shapes_of_weights`.
+      remedy: end of the message: what to do.
+      dtype: type of all arrays; `None` for those in the file.
 
     Raises:
       InputError: the file cannot be read, or an array is missing, unexpected or of another shape.
     """
-    remedy = "keep the files of one training together"
     tensors = read_safetensors(path, remedy)
     wanted = {name: tuple(leaf.shape) for name, leaf in _by_name(shapes).items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
@@ -121,4 +128,4 @@ def read_weights(path: str | Path, shapes: dict[str, Any]) -> dict[str, Any]:
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
                 f"network needs {wanted.get(name, 'none')}; {remedy}"
             )
-    return jax.tree.unflatten(jax.tree.structure(shapes), [jnp.asarray(tensors[name], jnp.float32) for name in wanted])
+    return jax.tree.unflatten(jax.tree.structure(shapes), [jnp.asarray(tensors[name], dtype) for name in wanted])

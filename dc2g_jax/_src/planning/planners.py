@@ -407,7 +407,7 @@ class DC2G(AskingPlanner):
         if not self.magnifies or max(world.height, world.width) <= side:
             return extent_of(self.estimator)
         zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
-        return TownWindow(zooms, side, float(side))
+        return TownWindow(zooms, side)
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """The selection rule's summary of the estimate.

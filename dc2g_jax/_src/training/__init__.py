@@ -2,4 +2,4 @@
 
 from dc2g_jax._src.errors import require_extra
 
-require_extra("cv2", "orbax")
+require_extra("cv2")
