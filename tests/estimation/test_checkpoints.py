@@ -14,7 +14,15 @@ import pytest
 from flax import nnx, struct
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import Kind, network_in_folder, read_network, save_network, write_network
+from dc2g_jax._src.estimation.checkpoints import (
+    Kind,
+    TrainingCheckpoints,
+    network_in_folder,
+    newest_step,
+    read_network,
+    save_network,
+    write_network,
+)
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.estimation.weights import fresh_weights
@@ -35,6 +43,10 @@ def network(width: int = 4, seed: int = 0, cost_scale: float = 20.0) -> NetworkC
 
 def assert_equal(one: Any, other: Any) -> None:
     assert one.architecture == other.architecture
+    assert_same(one, other)
+
+
+def assert_same(one: Any, other: Any) -> None:
     assert jax.tree.structure(one) == jax.tree.structure(other)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         assert a.dtype == b.dtype
@@ -296,3 +308,37 @@ def test_weights_of_another_architecture(folder, tmp_path):
 def test_no_weights(folder):
     (folder / "weights.safetensors").unlink()
     refusal(folder, "weights.safetensors", "no such file")
+
+
+@struct.dataclass
+class Counted:
+    """A state of a training with arrays of several types."""
+
+    step: Any
+    rest: Any
+
+
+def counted(step: int) -> Counted:
+    return Counted(jnp.int32(step), (jnp.full(3, step, jnp.bfloat16), {"key": jnp.uint32([1, 2])}, None))
+
+
+def test_the_newest_two_states_are_kept_and_come_back_as_they_were(tmp_path):
+    checkpoints = TrainingCheckpoints(tmp_path, Shades(), first_state=lambda config: counted(0))
+    assert newest_step(tmp_path) == 0
+    assert_same(checkpoints.restore(), counted(0))
+    for step in (2, 9, 10):
+        checkpoints.save(counted(step))
+    (tmp_path / "states" / ".11.unfinished-0.safetensors").write_bytes(b"of a killed writer")
+    assert checkpoints.steps() == [9, 10]
+    assert newest_step(tmp_path) == 10
+    again = TrainingCheckpoints(tmp_path, Shades(), first_state=lambda config: counted(0))
+    assert_same(again.restore(), counted(10))
+    assert_same(again.restore(9), counted(9))
+    assert again.steps() == [9]
+
+
+def test_a_state_of_another_program_is_refused(tmp_path):
+    TrainingCheckpoints(tmp_path, Shades(), first_state=counted).save(counted(3))
+    other = TrainingCheckpoints(tmp_path, Shades(), first_state=lambda config: Counted(jnp.int32(0), jnp.ones(2)))
+    with pytest.raises(InputError, match=r"states/3\.safetensors: .*; delete it to go on"):
+        other.restore()

@@ -217,7 +217,7 @@ class TrainingCheckpoints:
         first_state: Callable[[Any], Any],
     ):
         self._first_state, self._folder = functools.partial(first_state, config), Path(folder).absolute()
-        (self._folder / "states").mkdir(parents=True, exist_ok=True)
+        self._folder.mkdir(parents=True, exist_ok=True)
         path, wanted = self._folder / _CONFIG, json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
         if not path.exists():
             write_json(path, wanted)
@@ -259,6 +259,7 @@ class TrainingCheckpoints:
 
     def save(self, state: Any) -> None:
         """Save a state, and delete all but the newest two."""
+        (self._folder / "states").mkdir(exist_ok=True)
         write_safetensors(self._folder / "states" / f"{int(state.step)}.safetensors", state)
         for path in list(_states(self._folder).values())[:-2]:
             path.unlink()

@@ -20,9 +20,9 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, extent_of, trait, update_where
 from dc2g_jax._src.estimation.extents import TownWindow
-from dc2g_jax._src.estimation.padding import PaddedNetwork, mirrored
+from dc2g_jax._src.estimation.padding import mirrored, padded
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
@@ -377,8 +377,7 @@ class DC2G(AskingPlanner):
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
-        network = self.estimator
-        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) and network.is_compact else network
+        estimator = padded(self.estimator)
         return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, magnifies=False, memory=False)
 
     def init(self, world: World) -> "ExplorationState":
@@ -398,8 +397,7 @@ class DC2G(AskingPlanner):
     @property
     def _known_side(self) -> int:
         """Longer side of the maps that the estimator knows, in cells."""
-        network = self.estimator
-        return network.architecture.side if isinstance(network, NetworkCostToGo) else Architecture.side
+        return trait(self.estimator, "side") or Architecture.side
 
     def _extent(self, world: World) -> Extent:
         """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
