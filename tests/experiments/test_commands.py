@@ -385,7 +385,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
     assert whole.returncode == 0, whole.stderr
     command = [str(argument) for argument in options(tmp_path / "killed")]
     process = subprocess.Popen(
-        [sys.executable, "-m", f"experiments.{command[0]}", *command[1:]], cwd=ROOT, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "dc2g_jax", *command[0].split()[1:], *command[1:]], cwd=ROOT, stderr=subprocess.DEVNULL
     )
     states = tmp_path / "killed" / "runs"
     deadline = time.monotonic() + 200
