@@ -18,9 +18,7 @@ from dc2g_jax._src.cli.common import check_seed, command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null, output_folder, print_files
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
-from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
-from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, mesh_of, platform, replicate, require_memory
@@ -31,6 +29,7 @@ from dc2g_jax._src.training.sweeps import StackedCheckpoints, fetched_runs, in_t
 from dc2g_jax._src.training.tracking import TrackerName, run_folder
 from experiments.translator.evaluation import metrics_over_pairs
 from experiments.translator.figures import plot_training
+from experiments.translator.network import TRANSLATOR, TranslatorArchitecture, TranslatorCostToGo
 from experiments.translator.pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from experiments.translator.training import (
     TRANSLATOR_LOSSES,
@@ -190,7 +189,7 @@ def train_translators(
                 "seed": seed,
                 "steps": step,
             }
-            save_network(folder / "network", network, card)
+            write_network(folder / "network", weights, config.architecture, TRANSLATOR, card)
             if options.validate_every:
                 metrics = metrics_over_pairs(network, data.validation)
                 known = {name: number_or_null(value) for name, value in metrics.items()}

@@ -137,7 +137,7 @@ def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder
     """The given encoder, or the one of this run, which is trained if it does not exist."""
     folder = options.out / ENCODER_FOLDER
     if options.encoder is not None and not (folder / CARD).exists():
-        _, weights, architecture, card = read_network(options.encoder, [ENCODER])
+        _, weights, architecture, card = read_network(options.encoder, ENCODER)
         write_network(folder, weights, architecture, ENCODER, card)
     if options.encoder is not None or Log(folder).by_step():  # it was given, or its training has ended
         return load_encoder(folder)

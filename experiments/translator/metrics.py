@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.estimation.images import brightness, looks_traversable
+from experiments.translator.images import brightness, looks_traversable
 
 #: Gray pixels that are brighter than this are close to a goal (section IV-A3).
 _LOW_COST_BRIGHTNESS = 0.9

@@ -10,8 +10,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.images import cost_to_go_image, largest_cost, semantic_image
+from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
@@ -22,6 +21,7 @@ from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.training.masks import LEADERS, Masks, by_house, collect_masks, leading_planners
 from experiments.translator.drawn_masks import drawn_masks
+from experiments.translator.images import cost_to_go_image, largest_cost, semantic_image
 
 #: Factor by which images are enlarged before a random crop, as in pix2pix.
 _ENLARGED = 286 / 256
@@ -186,8 +186,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
     Raises:
       InputError: no house of the split can be used, or there are no masks.
     """
-    if per_house < 1:
-        raise InputError(f"{split}: {per_house} masks a house make no pairs; ask for at least 1")
+    check_number("masks per house", per_house, whole=True, least=1)
     houses = houses_with_door(dataset, split)
     if masks == "paper":
         return all_pairs(houses, drawn_masks(per_house, size, seed=MASK_SEEDS[split]))

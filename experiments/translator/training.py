@@ -11,10 +11,10 @@ import optax
 from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
+from experiments.translator.network import Discriminator, Generator, TranslatorArchitecture, init_weights
 from experiments.translator.pairs import ImagePair
 
 #: pix2pix computes the absolute error of images from -1 to 1; here they are from 0 to 1.

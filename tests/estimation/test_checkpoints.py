@@ -5,20 +5,30 @@ import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import nnx, struct
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation import pix2pix
-from dc2g_jax._src.estimation.checkpoints import TrainedNetwork, network_in_folder, save_network
+from dc2g_jax._src.estimation.checkpoints import (
+    Kind,
+    TrainingCheckpoints,
+    network_in_folder,
+    newest_step,
+    read_network,
+    save_network,
+    write_network,
+)
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.planning.named import make_planner
 
 N_SCALES = len(Architecture().widths)
 
@@ -31,8 +41,12 @@ def network(width: int = 4, seed: int = 0, cost_scale: float = 20.0) -> NetworkC
     return NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
 
 
-def assert_equal(one: TrainedNetwork, other: TrainedNetwork) -> None:
+def assert_equal(one: Any, other: Any) -> None:
     assert one.architecture == other.architecture
+    assert_same(one, other)
+
+
+def assert_same(one: Any, other: Any) -> None:
     assert jax.tree.structure(one) == jax.tree.structure(other)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         assert a.dtype == b.dtype
@@ -159,32 +173,76 @@ def changed_card(folder: Path, **changes) -> None:
 
 def test_another_kind_of_network(folder):
     changed_card(folder, network="transformer")
-    refusal(folder, "network.json", "transformer", "compact_unet", "pix2pix")
+    refusal(folder, "network.json", "transformer", "expected compact_unet or package.module:Name")
 
 
-def test_the_card_decides_what_kind_of_network_it_is(folder):
-    changed_card(folder, network="pix2pix")
-    refusal(folder, "network.json", "architecture")
+@dataclasses.dataclass(frozen=True)
+class Shades:
+    """Architecture of a network with other inputs than class indices."""
+
+    count: int = 3
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise ValueError("no shades")
 
 
-def test_a_translator_comes_back_as_one(tmp_path):
-    architecture = TranslatorArchitecture(size=32, base_filters=2, compute_dtype="bfloat16")
-    saved = TranslatorCostToGo(
-        weights=pix2pix.init_weights(pix2pix.Generator, architecture, jax.random.key(0)),
-        architecture=architecture,
-    )
-    folder = save_network(tmp_path / "network", saved, {"loss": "l1"})
-    loaded = network_in_folder(folder)
-    assert isinstance(loaded, TranslatorCostToGo)
-    assert_equal(loaded, saved)
-    assert json.loads((folder / "network.json").read_text())["network"] == "pix2pix"
-    changed_card(folder, architecture={"size": 32, "base_filters": 4, "compute_dtype": "bfloat16"})
-    refusal(folder, "weights", "another architecture")
-    for wrong in ({"size": 33}, {"base_filters": 0}, {"compute_dtype": 8}):
-        changed_card(folder, architecture={"size": 32, "base_filters": 2, "compute_dtype": "float32", **wrong})
-        refusal(folder, "network.json", "architecture")
-    changed_card(folder, classes=["grass"])
-    refusal(folder, "network.json", "classes")
+class Shading(nnx.Module):
+    def __init__(self, architecture, *, rngs):
+        self.mix = nnx.Linear(architecture.count, 1, rngs=rngs)
+
+
+@struct.dataclass
+class ShadesCostToGo(Estimator):
+    """A cost-to-go of a third party."""
+
+    weights: Any
+    architecture: Shades = struct.field(pytree_node=False)
+
+    def estimate(self, terrain, state):
+        return jnp.sum(self.weights["mix"]["kernel"]) * terrain[None].astype(jnp.float32)
+
+
+SHADES = Kind(f"{__name__}:SHADES", Shades, Shading, "python train_shades.py", ShadesCostToGo, dtype=np.float16)
+LONE = Kind(f"{__name__}:LONE", Shades, Shading, "python train_shades.py")
+
+
+def shades_in(folder: Path, kind: Kind = SHADES) -> Path:
+    weights = jax.tree.map(lambda leaf: leaf.astype(jnp.float16), fresh_weights(Shading, Shades(5), jax.random.key(0)))
+    return write_network(folder, weights, Shades(5), kind, {"loss": "own"})
+
+
+def test_a_network_of_a_kind_of_the_users_own_leads_a_planner(tmp_path):
+    loaded = make_planner("dc2g", network=shades_in(tmp_path)).estimator
+    assert isinstance(loaded, ShadesCostToGo)
+    assert loaded.architecture == Shades(5)
+    assert json.loads((tmp_path / "network.json").read_text())["network"] == SHADES.name
+    kind, weights, architecture, card = read_network(tmp_path, SHADES)
+    assert (kind, architecture, card["loss"]) == (SHADES, Shades(5), "own")
+    jax.tree.map(np.testing.assert_array_equal, weights, loaded.weights)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"architecture": {"count": 4}}, ["weights", "another architecture"]),
+        ({"architecture": {"count": 0}}, ["network.json", "no shades"]),
+        ({"classes": ["grass"]}, ["network.json", "classes"]),
+        ({"network": "compact_unet"}, ["network.json", "architecture"]),
+        ({"network": "no_such_module:SHADES"}, ["network.json", "no_such_module:SHADES", "cannot be imported"]),
+        ({"network": "pix2pix"}, ["network.json", "'pix2pix'", "compact_unet or package.module:Name"]),
+    ],
+)
+def test_the_card_decides_what_kind_of_network_it_is(tmp_path, changes, words):
+    changed_card(shades_in(tmp_path), **changes)
+    refusal(tmp_path, *words)
+
+
+def test_a_kind_without_an_estimator_is_for_no_planner(tmp_path):
+    refusal(shades_in(tmp_path, LONE), "network.json", "architecture")
+    assert read_network(tmp_path, LONE)[0] == LONE
+    with pytest.raises(InputError, match=r"LONE', but expected .*SHADES; give a folder written by `python train_"):
+        read_network(tmp_path, SHADES)
 
 
 @pytest.mark.parametrize("classes", [None, [], [*CLASS_NAMES[:-1], "water"], [*CLASS_NAMES, "water"], 5])
@@ -250,3 +308,37 @@ def test_weights_of_another_architecture(folder, tmp_path):
 def test_no_weights(folder):
     (folder / "weights.safetensors").unlink()
     refusal(folder, "weights.safetensors", "no such file")
+
+
+@struct.dataclass
+class Counted:
+    """A state of a training with arrays of several types."""
+
+    step: Any
+    rest: Any
+
+
+def counted(step: int) -> Counted:
+    return Counted(jnp.int32(step), (jnp.full(3, step, jnp.bfloat16), {"key": jnp.uint32([1, 2])}, None))
+
+
+def test_the_newest_two_states_are_kept_and_come_back_as_they_were(tmp_path):
+    checkpoints = TrainingCheckpoints(tmp_path, Shades(), first_state=lambda config: counted(0))
+    assert newest_step(tmp_path) == 0
+    assert_same(checkpoints.restore(), counted(0))
+    for step in (2, 9, 10):
+        checkpoints.save(counted(step))
+    (tmp_path / "states" / ".11.unfinished-0.safetensors").write_bytes(b"of a killed writer")
+    assert checkpoints.steps() == [9, 10]
+    assert newest_step(tmp_path) == 10
+    again = TrainingCheckpoints(tmp_path, Shades(), first_state=lambda config: counted(0))
+    assert_same(again.restore(), counted(10))
+    assert_same(again.restore(9), counted(9))
+    assert again.steps() == [9]
+
+
+def test_a_state_of_another_program_is_refused(tmp_path):
+    TrainingCheckpoints(tmp_path, Shades(), first_state=counted).save(counted(3))
+    other = TrainingCheckpoints(tmp_path, Shades(), first_state=lambda config: Counted(jnp.int32(0), jnp.ones(2)))
+    with pytest.raises(InputError, match=r"states/3\.safetensors: .*; delete it to go on"):
+        other.restore()

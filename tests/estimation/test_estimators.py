@@ -9,7 +9,8 @@ import pytest
 from flax import struct
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import update_where
+from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, trait, update_where
+from dc2g_jax._src.estimation.padding import PaddedNetwork, padded
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
@@ -129,3 +130,12 @@ def test_a_network_predicts_nothing_without_classes():
     costs = random_network(Architecture(widths=(4, 4, 4, 4))).estimate(jnp.asarray(plain), ())
     assert costs.shape == (5, *SHAPE, 3)
     assert [bool(jnp.any(costs[..., robot])) for robot in range(3)] == [False, True, False]
+
+
+def test_an_estimator_of_any_class_has_the_traits_of_the_protocol():
+    network = random_network(Architecture(widths=(4, 4), side=30))
+    assert [trait(network, name) for name in ("side", "is_compact", "in_cells")] == [30, True, True]
+    for estimator in (Counting(), ExactCostToGo(), None):
+        assert [trait(estimator, name) for name in ("side", "is_compact", "extent")] == [None, False, WHOLE_MAP]
+        assert padded(estimator) is estimator
+    assert padded(network) == PaddedNetwork(network)

@@ -9,7 +9,7 @@ import pytest
 from flax import struct
 
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, extent_of
-from dc2g_jax._src.estimation.extents import Surroundings
+from dc2g_jax._src.estimation.extents import TownWindow
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sampling import nearest_pixel
@@ -121,7 +121,7 @@ def test_in_towns_a_window_within_the_map_is_magnified_to_its_size():
     zooms = np.array([True, True, True, False])
     terrain = np.random.default_rng(0).integers(0, 9, (*shape, 4)).astype(np.uint8)
     before = np.random.default_rng(1).random((2, *terrain.shape)).astype(np.float32)
-    surroundings, pose = Surroundings(jnp.asarray(zooms), side), make_pose(*poses.T)
+    surroundings, pose = TownWindow(jnp.asarray(zooms), side), make_pose(*poses.T)
     part = surroundings.part(jnp.asarray(terrain), pose)
     # The network shrinks the map by 3, so that it reads 3 x 10 cells as they are.
     for robot, (top, left) in enumerate([(0, 0), (6, 20), (3, 10)]):

@@ -132,6 +132,8 @@ def test_what_cannot_be_used_is_refused_in_a_line(hub, tmp_path):
     for place in ("hf://network", "hf://some one/network/weights"):
         refusal(lambda place=place: dc2g.load_network(place), place, "not a network on the Hub", "hf://owner/name")
     refusal(lambda: dc2g.estimation.push(COMPACT, str(tmp_path)), "not a network on the Hub")
+    own = dc2g.estimation.ExactCostToGo()
+    refusal(lambda: dc2g.estimation.push(own, "hf://someone/empty"), "ExactCostToGo", "give the folder")
     refusal(lambda: dc2g.estimation.push(tmp_path, "hf://someone/empty"), str(tmp_path), "holds no network.json")
     assert "someone/empty" not in hub
     weights = hub["someone/network"]["weights.safetensors"]
@@ -139,10 +141,11 @@ def test_what_cannot_be_used_is_refused_in_a_line(hub, tmp_path):
     refusal(lambda: dc2g.load_network("hf://someone/network"), "SHA-256", "network.json")
 
 
-def test_a_card_from_the_hub_chooses_no_code_to_import(hub):
+@pytest.mark.parametrize("where", ["kind", "class"])
+def test_a_card_from_the_hub_chooses_no_code_to_import(hub, where):
     dc2g.estimation.push(COMPACT, "hf://someone/network")
     card = json.loads(hub["someone/network"]["network.json"])
-    card["architecture"]["network"] = "antigravity:Flight"
+    (card if where == "kind" else card["architecture"])["network"] = "antigravity:Flight"
     hub["someone/network"]["network.json"] = json.dumps(card).encode()
     refusal(
         lambda: dc2g.load_network("hf://someone/network"),

@@ -2,16 +2,13 @@
 
 import json
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.estimation import pix2pix
 from dc2g_jax._src.estimation.compact_unet import Architecture, apply
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from tests.support.networks import random_network
@@ -66,10 +63,7 @@ def test_the_file_says_what_it_is(tmp_path):
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path):
-    architecture = TranslatorArchitecture(size=32, base_filters=2)
-    weights = pix2pix.init_weights(pix2pix.Generator, architecture, jax.random.key(0))
-    translator = TranslatorCostToGo(weights=weights, architecture=architecture)
-    refusal(lambda: export_onnx(translator, tmp_path / "network.onnx"), "translator", "dc2g train")
+    refusal(lambda: export_onnx(ExactCostToGo(), tmp_path / "network.onnx"), "only compact networks", "dc2g train")
     refusal(
         lambda: export_onnx(dc2g.load_network(), tmp_path / "none" / "network.onnx"),
         "none/network.onnx",

@@ -385,7 +385,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
     assert whole.returncode == 0, whole.stderr
     command = [str(argument) for argument in options(tmp_path / "killed")]
     process = subprocess.Popen(
-        [sys.executable, "-m", f"experiments.{command[0]}", *command[1:]], cwd=ROOT, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "dc2g_jax", *command[0].split()[1:], *command[1:]], cwd=ROOT, stderr=subprocess.DEVNULL
     )
     states = tmp_path / "killed" / "runs"
     deadline = time.monotonic() + 200
@@ -417,7 +417,7 @@ def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_pat
     assert first.returncode == 0, first.stderr
     assert "4 pairs of 1 houses" in first.stdout
     card = json.loads((network / "network.json").read_text())
-    assert (card["network"], card["loss"], card["steps"]) == ("pix2pix", "l1+gan", 4)
+    assert (card["network"], card["loss"], card["steps"]) == (reproduce_fig5.TRANSLATOR.name, "l1+gan", 4)
     fig6 = run(
         "reproduce_fig6", "--dataset", few_houses, "--network", network, compact_network, "--out", tmp_path / "fig6"
     )

@@ -5,8 +5,7 @@ import dataclasses
 import pytest
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax._src.planning.bounded import Bounded, CautiousDC2G
 from dc2g_jax._src.planning.named import (
     NETWORK_PLANNERS,
@@ -20,6 +19,7 @@ from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, any_heading
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, QuantileCost
 from experiments.benchmarks.extents import CroppedEstimator, WindowedEstimator
+from experiments.translator.network import TranslatorArchitecture, TranslatorCostToGo
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)

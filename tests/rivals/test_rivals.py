@@ -306,8 +306,7 @@ def test_regions_are_the_pieces_of_the_frontier_in_the_order_of_their_costs():
 
 
 def test_a_network_without_cells_cannot_lead_a_rival():
-    from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
-    from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+    from experiments.translator.network import TranslatorArchitecture, TranslatorCostToGo
 
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     for name in NETWORK_RIVALS:

@@ -13,7 +13,6 @@ from jaxtyping import Array, Int
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
-from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House
@@ -28,6 +27,7 @@ from dc2g_jax.indoor.learning.networks import CostMapArchitecture
 from dc2g_jax.indoor.learning.training import BETTER_RECIPE, CostMapConfig
 from experiments.translator import training as translator
 from experiments.translator.drawn_masks import drawn_masks
+from experiments.translator.network import TranslatorArchitecture
 from experiments.translator.pairs import ImageSet, all_pairs, draw_image_pairs
 from experiments.translator.training import TranslatorConfig, TranslatorTraining
 from tests.support import maps

@@ -6,7 +6,7 @@ import functools
 import json
 import logging
 import os
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,16 +17,15 @@ import numpy.typing as npt
 from flax import nnx
 
 from dc2g_jax._src.errors import InputError, require_extra, short
-from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture, network_class
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture
+from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture, make_network
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.files.reading import number, read_object, whole_number
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.own_parts import is_own_part
+from dc2g_jax._src.own_parts import is_own_part, own_part
 
 #: The shipped networks: for maps without errors, and for maps from a camera.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
@@ -34,42 +33,34 @@ SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compac
 #: Files of a network: its card, which is written last, and its weights.
 CARD, WEIGHTS = "network.json", "weights.safetensors"
 
-_CONFIG = "config.json"
-_STATES = "states"
-
-TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
+_CONFIG, _STATES = "config.json", "states"
 
 
 class Kind(NamedTuple):
     """A kind of networks.
 
     Attributes:
-      name: its name in cards; a network of the user's own has that of its class.
+      name: its name in cards: `package.module:Name` of this value, by which `load_network` finds it. (Kinds that are
+        only read by a program that knows them may have any name.)
       architecture: dataclass of an architecture, whose attributes have defaults.
-      network: class of the network with an architecture.
-      classes: names of the classes that maps for it may have.
+      network: class of the network, called as `network(architecture, rngs=...)`.
       command: trains it.
+      estimator: class of its estimator, called with `weights` and `architecture`; `None` if it is for no planner.
+      classes: names of the classes that maps for it may have.
       dtype: precision of saved weights.
     """
 
     name: str
     architecture: type
-    network: Callable[[Any], type[nnx.Module]]
-    classes: Sequence[str]
+    network: Callable[..., nnx.Module]
     command: str
+    estimator: Callable[..., Estimator] | None = None
+    classes: Sequence[str] = CLASS_NAMES
     dtype: npt.DTypeLike = np.float32
 
 
-_KINDS: dict[type[TrainedNetwork], Kind] = {
-    NetworkCostToGo: Kind(COMPACT_UNET, Architecture, network_class, CLASS_NAMES, "dc2g train"),
-    TranslatorCostToGo: Kind(
-        "pix2pix",
-        TranslatorArchitecture,
-        lambda architecture: Generator,
-        CLASS_NAMES,
-        "python -m experiments.reproduce_fig5",
-    ),
-}
+#: The compact network, or one of the user's own in its place, whose class cards name.
+COMPACT = Kind(COMPACT_UNET, Architecture, make_network, "dc2g train", NetworkCostToGo)
 
 
 def _like(default: Any, value: Any) -> Any:
@@ -133,24 +124,43 @@ def write_network(
     return folder
 
 
-def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
-    """Save a planner's network, see `write_network`."""
-    return write_network(folder, network.weights, network.architecture, _KINDS[type(network)], card)
+def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, Any] | None = None) -> Path:
+    """Save a compact network, or one of the user's own in its place, see `write_network`."""
+    return write_network(folder, network.weights, network.architecture, COMPACT, card)
 
 
-def _read_card(folder: Path, kinds: Collection[Kind]) -> tuple[Kind, Any, dict[str, Any]]:
+def code_in_card(card: dict[str, Any]) -> str | None:
+    """The `package.module:Name` that a card has imported when its network is loaded, if any."""
+    architecture = card.get("architecture")
+    named = (card.get("network"), architecture.get("network") if isinstance(architecture, dict) else None)
+    return next(filter(is_own_part, named), None)
+
+
+def _kind_of(named: Any) -> Kind | None:
+    """The kind of a planner's network by its name in the card."""
+    if not is_own_part(named):
+        return COMPACT if named == COMPACT.name else None
+    found = own_part("network", named, [COMPACT.name])
+    # Whatever is no kind has to be a network's class.
+    return found if isinstance(found, Kind) and found.estimator else COMPACT
+
+
+def _read_card(folder: Path, kind: Kind | None) -> tuple[Kind, Any, dict[str, Any]]:
     """Kind, architecture and card of a saved network, after checking that this package can run it."""
-    remedy = f"give a folder written by {' or '.join(f'`{kind.command}`' for kind in kinds)}"
+    remedy = f"give a folder written by `{(kind or COMPACT).command}`"
     if (folder / "network" / CARD).exists():
         remedy = f"give {folder / 'network'}"
     facts = read_object(folder / CARD, remedy)
     named = facts.get("network")
-    names = {kind.name: kind for kind in kinds}
-    kind = names.get(COMPACT_UNET if is_own_part(named) else named) if isinstance(named, str) else None
+    expected = f"{COMPACT.name} or package.module:Name" if kind is None else kind.name
+    try:
+        kind = _kind_of(named) if kind is None else kind if named == kind.name else None
+    except InputError as error:
+        raise InputError(f"{folder / CARD}: {error}") from None
     if kind is None:
         raise InputError(
             f"{folder / CARD}: {f'its network is {short(named)}' if named else 'names no kind of network'}, but "
-            f"expected {' or '.join(names)}; {remedy}"
+            f"expected {expected}; {remedy}"
         )
     if facts.get("classes") != list(kind.classes):
         raise InputError(f"{folder / CARD}: the network was trained on another list of classes; train it anew")
@@ -158,7 +168,7 @@ def _read_card(folder: Path, kinds: Collection[Kind]) -> tuple[Kind, Any, dict[s
     try:
         defaults = {field.name: field.default for field in dataclasses.fields(kind.architecture)}
         known = kind.architecture(**{name: _like(value, architecture[name]) for name, value in defaults.items()})
-        shapes_of_weights(kind.network(known), known)
+        shapes_of_weights(kind.network, known)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder / CARD}: architecture {short(architecture)} is not one of this network's ({error}); {remedy}"
@@ -166,16 +176,20 @@ def _read_card(folder: Path, kinds: Collection[Kind]) -> tuple[Kind, Any, dict[s
     return kind, known, facts
 
 
-def read_network(folder: str | Path, kinds: Collection[Kind]) -> tuple[Kind, dict[str, Any], Any, dict[str, Any]]:
+def read_network(folder: str | Path, kind: Kind | None = None) -> tuple[Kind, dict[str, Any], Any, dict[str, Any]]:
     """Read a network written by `write_network`: its kind, weights in float32, architecture and card.
+
+    Args:
+      folder: folder of the network.
+      kind: kind of the network; `None` for any kind for planners, which the card names.
 
     Raises:
       InputError: the network is missing, cannot be read, is of another kind, or has weights of another architecture.
     """
     folder = Path(folder).absolute()
-    kind, architecture, card = _read_card(folder, kinds)
+    kind, architecture, card = _read_card(folder, kind)
     path, digest = folder / WEIGHTS, card.get("sha256")
-    weights = read_weights(path, shapes_of_weights(kind.network(architecture), architecture))
+    weights = read_weights(path, shapes_of_weights(kind.network, architecture))
     found = arrays_sha256(weights)
     if digest is None:
         raise InputError(
@@ -192,13 +206,11 @@ def read_network(folder: str | Path, kinds: Collection[Kind]) -> tuple[Kind, dic
     return kind, weights, architecture, card
 
 
-def network_in_folder(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
+def network_in_folder(folder: str | os.PathLike[str] | None = None) -> Any:
     """Load a planner's network of any kind, see `read_network`; `None` for the shipped network."""
-    kind, weights, architecture, _ = read_network(
-        resource(SHIPPED_NETWORK) if folder is None else Path(folder), _KINDS.values()
-    )
-    estimator = next(estimator for estimator, own in _KINDS.items() if own is kind)
-    return estimator(weights=weights, architecture=architecture)
+    kind, weights, architecture, _ = read_network(resource(SHIPPED_NETWORK) if folder is None else Path(folder))
+    assert kind.estimator is not None
+    return kind.estimator(weights=weights, architecture=architecture)
 
 
 def newest_step(folder: str | Path) -> int:
@@ -228,25 +240,26 @@ class TrainingCheckpoints:
         first_state: Callable[[Any], Any],
     ):
         self._first_state, self._orbax = functools.partial(first_state, config), _orbax()
-        folder = Path(folder).absolute()
-        folder.mkdir(parents=True, exist_ok=True)
-        wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
-        if (folder / _CONFIG).exists():
-            found = read_object(folder / _CONFIG, "give another folder")
-            changed = [name for name in wanted if found.get(name) != wanted[name]]
-            if changed:
-                name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
-                if isinstance(was, dict) and isinstance(now, dict):
-                    within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
-                    name, was, now = f"{name}: {within}", was.get(within), now.get(within)
-                raise InputError(
-                    f"{folder / _CONFIG}: {name} was {short(was)} in the run that is there, now {short(now)}; give the "
-                    "same options to resume it, or another folder"
-                )
-        else:
-            write_json(folder / _CONFIG, wanted)
-        self._folder = folder / _STATES
-        self._folder.mkdir(exist_ok=True)
+        self._folder = Path(folder).absolute() / _STATES
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path, wanted = (
+            self._folder.parent / _CONFIG,
+            json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})})),
+        )
+        if not path.exists():
+            write_json(path, wanted)
+        found = read_object(path, "give another folder")
+        changed = [name for name in wanted if found.get(name) != wanted[name]]
+        if changed:
+            name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
+            if isinstance(was, dict) and isinstance(now, dict):
+                within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
+                name, was, now = f"{name}: {within}", was.get(within), now.get(within)
+            raise InputError(
+                f"{path}: {name} was {short(was)} in the run that is there, now {short(now)}; give the same options to "
+                "resume it, or another folder"
+            )
+
         with _quiet():
             self._manager = self._orbax.CheckpointManager(
                 self._folder,

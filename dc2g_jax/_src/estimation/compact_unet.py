@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float, Int, Shaped, UInt8
 
-from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.estimation.weights import fresh_weights, no_weights, shapes_of_weights, with_weights
+from dc2g_jax._src.errors import InputError, check_number, short
+from dc2g_jax._src.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.programs import jit
@@ -18,14 +18,8 @@ from dc2g_jax._src.programs import jit
 #: Name of the class below among networks.
 COMPACT_UNET = "compact_unet"
 
-#: Largest side of a patch in cells, and largest number of scales.
-_LARGEST_PATCH, _MOST_SCALES = 64, 16
-
 #: Largest number of channels.
 _WIDEST = 4096
-
-#: Longest side of training maps, in cells.
-_LONGEST_SIDE = 4096
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +35,7 @@ class Architecture:
       patch: side of a square patch, in cells. The finest scale has one position for each patch.
       embedding: number of hidden features of each patch, from which the first scale and the output are computed. With 0
         there are none: the first scale is linear in the cells of a patch, and the output uses the scales alone.
-      network: `compact_unet`, or `package.module:Name` for a class of the user's own, see `network_class`.
+      network: `compact_unet`, or `package.module:Name` for a class of the user's own, see `make_network`.
 
     Raises:
       InputError: an attribute is out of its range.
@@ -56,21 +50,16 @@ class Architecture:
     network: str = COMPACT_UNET
 
     def __post_init__(self) -> None:
-        if not 2 <= len(self.widths) <= _MOST_SCALES or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
-            raise InputError(
-                f"widths {short(self.widths)}: give 2 to {_MOST_SCALES} scales, each with a width of 1 to {_WIDEST}"
-            )
+        check_number("number of widths", len(self.widths), least=2, most=16)
+        for width in self.widths:
+            check_number("width", width, whole=True, least=1, most=_WIDEST, hint="channels")
         levels = self.quantiles
         if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
             raise InputError(f"quantiles {short(levels)}: give ascending levels between 0 and 1, one at least")
-        if not 0 < self.cost_scale < float("inf"):
-            raise InputError(f"cost_scale {short(self.cost_scale)}: give cells, a number above 0")
-        if not 1 <= self.side <= _LONGEST_SIDE:
-            raise InputError(f"side {short(self.side)}: give 1 to {_LONGEST_SIDE} cells")
-        if not 1 <= self.patch <= _LARGEST_PATCH:
-            raise InputError(f"patch {short(self.patch)}: give 1 to {_LARGEST_PATCH} cells")
-        if not 0 <= self.embedding <= _WIDEST:
-            raise InputError(f"embedding {short(self.embedding)}: give 1 to {_WIDEST} features, or 0 for none")
+        check_number("cost_scale", self.cost_scale, above=0, hint="cells")
+        check_number("side", self.side, whole=True, least=1, most=4096, hint="cells")
+        check_number("patch", self.patch, whole=True, least=1, most=64, hint="cells")
+        check_number("embedding", self.embedding, whole=True, least=0, most=_WIDEST, hint="features")
 
 
 def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:
@@ -210,52 +199,49 @@ class CompactUNet(nnx.Module):
         return self.architecture.cost_scale * (1 + cells)
 
 
-def network_class(architecture: Architecture) -> type[nnx.Module]:
-    """The class of an architecture's network, `CompactUNet` or one of the user's own.
+def make_network(architecture: Architecture, *, rngs: nnx.Rngs) -> Any:
+    """An architecture's network with random initial weights: a `CompactUNet` or one of the user's own.
 
-    It is called as `network(architecture, rngs=...)`. The network maps observed class indices, uint8 `[b h w]`
-    (0 = not observed), to the quantiles of every cell's cost-to-go in cells, float32 `[b h w quantiles]`, for maps of
-    any size.
+    The user's class is called as `network(architecture, rngs=...)`. The network maps observed class indices, uint8
+    `[b h w]` (0 = not observed), to the quantiles of every cell's cost-to-go in cells, float32 `[b h w quantiles]`, for
+    maps of any size.
 
     Raises:
-      InputError: it cannot be imported, is no such class, or its answer has another shape.
+      InputError: the class cannot be imported, or is no network's.
     """
     if architecture.network == COMPACT_UNET:
-        return CompactUNet
-    found = own_part("network", architecture.network, (COMPACT_UNET,))
-    if not (isinstance(found, type) and issubclass(found, nnx.Module)):
-        raise InputError(f"network {architecture.network!r}: is {short(found)}; give a subclass of flax.nnx.Module")
-    return found
+        return CompactUNet(architecture, rngs=rngs)
+    own = own_part("network", architecture.network, (COMPACT_UNET,))
+    if not (isinstance(own, type) and issubclass(own, nnx.Module)):
+        raise InputError(f"network {architecture.network!r}: is {short(own)}; give a subclass of flax.nnx.Module")
+    return own(architecture, rngs=rngs)  # type: ignore[call-arg]
 
 
 def check_network(architecture: Architecture) -> None:
     """Check, without computing anything, that a network of the user's own can be made and answers in the right shape.
 
     Raises:
-      InputError: it cannot or does not; see also `network_class`.
+      InputError: it cannot or does not; see also `make_network`.
     """
     side, name = architecture.side, architecture.network
-    network = network_class(architecture)
     maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
     try:
-        weights = shapes_of_weights(network, architecture)
-        answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
+        weights = shapes_of_weights(make_network, architecture)
+        answer = jax.eval_shape(functools.partial(apply, architecture), weights, maps)
+    except InputError:
+        raise
     except Exception as error:  # whatever the user's class raises
         raise InputError(
             f"network {name!r}: cannot be made, or run on a map of {side} x {side} cells ({type(error).__name__}: "
             f"{error}); it is called as network(architecture, rngs=...)(terrain)"
         ) from error
-    for path, leaf in jax.tree.leaves_with_path(weights):
-        if not jnp.issubdtype(leaf.dtype, jnp.floating):
+    made = nnx.eval_shape(lambda: make_network(architecture, rngs=nnx.Rngs(0)))
+    for path, kept in nnx.to_flat_state(nnx.state(made)):
+        if not isinstance(kept, nnx.Param) or not jnp.issubdtype(kept.dtype, jnp.floating):
             raise InputError(
-                f"network {name!r}: its weight {jax.tree_util.keystr(path, simple=True, separator='.')} is "
-                f"{leaf.dtype}; use floating-point weights only, and no layers with random keys, such as Dropout"
+                f"network {name!r}: {'.'.join(map(str, path))} is a {type(kept).__name__} of {kept.dtype}, which is "
+                "not trained; use layers of floating-point nnx.Param alone: GroupNorm in place of BatchNorm, no Dropout"
             )
-    for part, kind in no_weights(network, architecture).items():
-        raise InputError(
-            f"network {name!r}: {part} is a {kind}, which is not trained; use layers of nnx.Param alone, such as "
-            "GroupNorm in place of BatchNorm"
-        )
     wanted = (1, side, side, len(architecture.quantiles))
     if not isinstance(answer, jax.ShapeDtypeStruct):
         raise InputError(f"network {name!r}: answers with a {type(answer).__name__}; expected one array")
@@ -268,20 +254,19 @@ def check_network(architecture: Architecture) -> None:
 
 def init_weights(architecture: Architecture, key: Array) -> dict[str, Any]:
     """Random initial weights, see `estimation.weights`."""
-    return fresh_weights(network_class(architecture), architecture, key)
+    return fresh_weights(make_network, architecture, key)
 
 
 def apply(
     architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
 ) -> Float[Array, "b h w quantiles"]:
     """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
-    return with_weights(network_class(architecture), architecture, weights)(terrain)
+    return with_weights(make_network, architecture, weights)(terrain)
 
 
 def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
     """Multiply-accumulates per map: half of the floating-point operations that XLA counts."""
     maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
-    lowered = jit(functools.partial(apply, architecture)).lower(
-        shapes_of_weights(network_class(architecture), architecture), maps
-    )
+    shapes = shapes_of_weights(make_network, architecture)
+    lowered = jit(functools.partial(apply, architecture)).lower(shapes, maps)
     return round((lowered.cost_analysis() or {})["flops"] / 2)

@@ -10,10 +10,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
-from dc2g_jax._src.estimation import compact_unet, images
+from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture
-from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture
-from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sampling import resize_nearest
@@ -60,11 +58,15 @@ class Estimator(Protocol):
       in_cells: whether costs are in cells, so that a distance can be added.
       knows_outside: whether it takes maps in a larger grid, with `OUTSIDE` cells around, as `OnlinePlanner` pads them.
       extent: the part of the map that it is given.
+      side: longer side of the maps that it was trained on, in cells; `None` if it knows maps of any size.
+      is_compact: whether it is a network whose layers are those of `CompactUNet`.
     """
 
     in_cells: ClassVar[bool] = True
     knows_outside: ClassVar[bool] = False
     extent: Extent = WHOLE_MAP
+    side: int | None = None
+    is_compact: bool = False
 
     def init(self, world: World) -> Any:
         """The state for an episode in `world`. Only a privileged estimator may read the world.
@@ -82,14 +84,19 @@ class Estimator(Protocol):
         ...
 
 
+def trait(estimator: Estimator | None, name: str) -> Any:
+    """An attribute of an estimator, or its default in `Estimator`."""
+    return getattr(estimator, name, getattr(Estimator, name))
+
+
 def extent_of(estimator: Estimator) -> Extent:
     """The `extent` of an estimator."""
-    return getattr(estimator, "extent", Estimator.extent)
+    return trait(estimator, "extent")
 
 
 def answers_in_cells(estimator: Estimator | None) -> bool:
     """Whether an estimator's costs are `in_cells`."""
-    return getattr(estimator, "in_cells", Estimator.in_cells)
+    return trait(estimator, "in_cells")
 
 
 #: Smallest and largest batch of an estimator. In tiny batches the last bits of a convolution may depend on the size.
@@ -203,8 +210,13 @@ class NetworkCostToGo(Estimator):
         return costs if self.summary is None else self.summary(costs)
 
     @property
-    def is_compact(self) -> bool:
-        """Whether the network is a `CompactUNet`, whose layers are known."""
+    def side(self) -> int:  # type: ignore[override]
+        """See `Estimator`."""
+        return self.architecture.side
+
+    @property
+    def is_compact(self) -> bool:  # type: ignore[override]
+        """See `Estimator`."""
         return self.architecture.network == COMPACT_UNET
 
     def summarized(self, summary: Callable[[Array], Array]) -> "NetworkCostToGo":
@@ -228,39 +240,6 @@ class NetworkCostToGo(Estimator):
         # The network adds 1 to the layer's outputs.
         head = {"kernel": summed(head["kernel"]), "bias": summed(head["bias"] + 1) - 1}
         return NetworkCostToGo(self.weights | {"head": head}, self.architecture)
-
-
-@struct.dataclass
-class TranslatorCostToGo(Estimator):
-    """The paper's image-to-image translator. It reads an image of the map and draws one of the cost-to-go.
-
-    Attributes:
-      weights: the generator's weights.
-      architecture: architecture of the networks.
-    """
-
-    weights: Any
-    architecture: TranslatorArchitecture = struct.field(pytree_node=False)
-    #: Brightness is relative to the brightest cell.
-    in_cells: ClassVar[bool] = False
-
-    def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
-        """Cost-to-go images of partial maps, which are first resized to the network's size."""
-        size = self.architecture.size
-        return self.answer(jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain))
-
-    def answer(self, pictures: Float[Array, "b s s 3"]) -> Float[Array, "b s s 3"]:
-        """Cost-to-go images, quantized to 8 bits, for images of partial maps of the network's size."""
-        generator = with_weights(Generator, self.architecture, self.weights)
-        return jax.vmap(images.in_eight_bits)(generator(pictures))
-
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
-        """1 - brightness of the network's image; 1 for pixels that are not traversable."""
-        del state
-        height, width, *batch = terrain.shape
-        answers = self.translate(jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0))
-        costs = jax.vmap(lambda one: images.read_cost_to_go(one, height, width))(answers)
-        return jnp.moveaxis(costs, 0, -1).reshape(1, height, width, *batch)
 
 
 @struct.dataclass

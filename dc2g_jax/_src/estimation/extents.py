@@ -11,9 +11,6 @@ from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sampling import nearest_pixel
 from dc2g_jax._src.grid.terrain import UNKNOWN
 
-#: Side length of the training maps of the shipped network, in cells.
-_TRAINED_SIDE = Architecture.side
-
 
 def counted(number: int, like: Int[Array, "*batch"]) -> Int[Array, "number ..."]:
     """0, 1, 2, ... along a new first axis."""
@@ -35,7 +32,7 @@ def read_cells(
 
 
 @dataclasses.dataclass(frozen=True)
-class Surroundings(Extent):
+class TownWindow(Extent):
     """In towns, a window that is moved into the map; elsewhere the whole map.
 
     The network knows one house with its surroundings. It resamples larger maps to the size of its training maps, which
@@ -44,13 +41,17 @@ class Surroundings(Extent):
 
     Attributes:
       zooms: whether each robot is in a town.
-      side: longer side of the window, which has the aspect ratio of the map, in cells.
-      prior: cost of cells that have never been inside.
+      side: longer side of the window, which has the aspect ratio of the map, in cells; also the cost of cells that have
+        never been inside.
     """
 
     zooms: Bool[Array, "*batch"]
-    side: int = _TRAINED_SIDE
-    prior: float = float(_TRAINED_SIDE)
+    side: int = Architecture.side
+
+    @property
+    def prior(self) -> float:  # type: ignore[override]
+        """See `Extent`."""
+        return float(self.side)
 
     def _window(self, pose: Pose, shape: tuple[int, ...]) -> list[tuple[Int[Array, "*batch"], int, int]]:
         """First cell, length and length of the map along each axis."""

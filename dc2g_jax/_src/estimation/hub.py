@@ -7,8 +7,9 @@ from pathlib import Path
 import jax
 
 from dc2g_jax._src.errors import InputError, require_extra, short
-from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, TrainedNetwork, network_in_folder, reason, save_network
-from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, save_network
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.own_parts import is_own_part, own_part
 
@@ -17,6 +18,11 @@ _HUB = "hf://"
 
 #: The files of a network, whatever its kind, and of an encoder in its folder.
 _FILES = [f"*{CARD}", f"*{WEIGHTS}"]
+
+
+def _reason(error: Exception) -> str:
+    """The first nonblank line of an error's message."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]
 
 
 def _on_hub(place: str) -> tuple[str, str | None]:
@@ -47,15 +53,13 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
         folder = Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
     except Exception as error:  # from several libraries
         raise InputError(
-            f"{place}: cannot be downloaded ({reason(error)}); check the name, and the connection to the Hub"
+            f"{place}: cannot be downloaded ({_reason(error)}); check the name, and the connection to the Hub"
         ) from None
     card = read_object(folder / CARD, "give another network") if (folder / CARD).is_file() else {}
-    architecture = card.get("architecture")
-    named = architecture.get("network") if isinstance(architecture, dict) else None
-    if is_own_part(named):
+    if named := code_in_card(card):
         raise InputError(
-            f"{place}: its card names the class {named!r}, which loading it would import; if you trust that, give the "
-            f"folder that it was downloaded to: {folder}"
+            f"{place}: its card names {named!r}, which loading it would import; if you trust that, give the folder "
+            f"that it was downloaded to: {folder}"
         )
     return folder
 
@@ -86,24 +90,29 @@ def load_network(place: str | os.PathLike[str] | None = None) -> Estimator:
     return estimator
 
 
-def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
+def push(network: NetworkCostToGo | str | os.PathLike[str], place: str) -> str:
     """Save a network on the Hub, in a new repository or as a new version. First log in with `hf auth login`.
 
     Args:
-      network: the network, or its folder, whose card is then kept. For an indoor network, its folder.
+      network: a network from `dc2g train`, or the folder of one of any kind, whose card is then kept.
       place: `hf://owner/name`.
 
     Returns:
       The address of the new version.
 
     Raises:
-      InputError: the folder holds no network, or the Hub rejects it.
+      InputError: it is of another kind, the folder holds no network, or the Hub rejects it.
     """
     repository, revision = _on_hub(place)
     import huggingface_hub
 
     with tempfile.TemporaryDirectory() as saved:
-        folder = Path(network) if isinstance(network, str | os.PathLike) else save_network(saved, network)
+        if isinstance(network, str | os.PathLike):
+            folder = Path(network)
+        elif isinstance(getattr(network, "architecture", None), Architecture):
+            folder = save_network(saved, network)
+        else:
+            raise InputError(f"{short(network)}: cannot be saved on the Hub; give the folder of a network")
         if not ((folder / CARD).is_file() and (folder / WEIGHTS).is_file()):
             raise InputError(f"{folder}: holds no {CARD} and {WEIGHTS}; give the folder of a trained network")
         try:
@@ -113,5 +122,5 @@ def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
             return str(done.commit_url)
         except Exception as error:  # of many libraries
             raise InputError(
-                f"{place}: cannot be saved ({reason(error)}); log in with `hf auth login`, and check the name"
+                f"{place}: cannot be saved ({_reason(error)}); log in with `hf auth login`, and check the name"
             ) from None

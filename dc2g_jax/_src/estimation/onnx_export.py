@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from dc2g_jax._src.errors import InputError, require_extra
-from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo, trait
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
@@ -94,7 +94,7 @@ def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
     return graph.cropped(scaled, graph.add("Shape", "classes", start=1))
 
 
-def export_onnx(network: Estimator, path: str | Path) -> None:
+def export_onnx(network: Any, path: str | Path) -> None:
     """Write a compact network as an ONNX file.
 
     Its input `classes` is uint8 [n, h, w], observed class indices (0 = not observed) of maps of any number and size.
@@ -102,16 +102,14 @@ def export_onnx(network: Estimator, path: str | Path) -> None:
     `classes`, `quantiles`, `cost_scale`, `side` (planners resample larger maps) and `sha256` of the weights.
 
     Args:
-      network: the network.
+      network: a `NetworkCostToGo`.
       path: the file; replaced if it exists.
 
     Raises:
-      InputError: the network is a translator or one of the user's own, or the file cannot be written.
+      InputError: the network is of another kind or one of the user's own, or the file cannot be written.
     """
-    if not isinstance(network, NetworkCostToGo) or not network.is_compact:
-        raise InputError(
-            "the network is a translator of pictures or one of your own; give a compact network, from `dc2g train`"
-        )
+    if not trait(network, "is_compact"):
+        raise InputError("only compact networks can be exported; give one from `dc2g train` without --architecture")
     graph, architecture = _Graph(), network.architecture
     found = _add_network(graph, network)
     graph.nodes.append(onnx.helper.make_node("Identity", [found], ["quantiles"]))

@@ -5,14 +5,14 @@ convolutions see nothing beyond the map's edge, and larger maps than those of th
 """
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from dc2g_jax._src.estimation.compact_unet import CompactUNet
-from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, zero_without_classes
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, trait, zero_without_classes
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.grid.sampling import nearest_pixel
 from dc2g_jax._src.grid.terrain import OUTSIDE
@@ -45,6 +45,11 @@ class PaddedNetwork(Estimator):
         network = with_weights(CompactUNet, architecture, self.network.weights)
         answer = cell_side * network(shrunk[None], map_shape)[0][cells]
         return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
+
+
+def padded(estimator: Estimator) -> Estimator:
+    """The estimator for maps in a larger grid, if it is a network that has one; else itself."""
+    return PaddedNetwork(cast(NetworkCostToGo, estimator)) if trait(estimator, "is_compact") else estimator
 
 
 def _shrunk(

@@ -49,13 +49,6 @@ def shapes_of_weights(network: Callable[..., nnx.Module], architecture: Any) -> 
     return nnx.to_pure_dict(_structure(network, architecture)[1])
 
 
-def no_weights(network: Callable[..., nnx.Module], architecture: Any) -> dict[str, str]:
-    """Name -> kind of what a network keeps besides its weights (`nnx.Param`), such as statistics of batches."""
-    made = nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0)))
-    others = nnx.to_flat_state(nnx.state(made, nnx.Not(nnx.Param)))
-    return {".".join(map(str, path)): type(kept).__name__ for path, kept in others}
-
-
 def with_weights(network: Callable[..., _Network], architecture: Any, weights: dict[str, Any]) -> _Network:
     """The network with these weights, see `fresh_weights`."""
     graph, shapes = _structure(network, architecture)

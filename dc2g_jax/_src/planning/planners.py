@@ -20,9 +20,9 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
-from dc2g_jax._src.estimation.extents import Surroundings
-from dc2g_jax._src.estimation.padding import PaddedNetwork, mirrored
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, extent_of, trait, update_where
+from dc2g_jax._src.estimation.extents import TownWindow
+from dc2g_jax._src.estimation.padding import mirrored, padded
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, check_axes, check_poses
@@ -375,7 +375,7 @@ class DC2G(AskingPlanner):
       replan_fraction: share of the cells in the field of view that must be newly seen before the planner decides anew;
         it also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
       magnifies: whether the estimator is given a part of the map of a town, see
-        `estimation.extents.Surroundings`.
+        `estimation.extents.TownWindow`.
       memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
     """
 
@@ -394,8 +394,7 @@ class DC2G(AskingPlanner):
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
-        network = self.estimator
-        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) and network.is_compact else network
+        estimator = padded(self.estimator)
         return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, magnifies=False, memory=False)
 
     def init(self, world: World) -> "ExplorationState":
@@ -415,8 +414,7 @@ class DC2G(AskingPlanner):
     @property
     def _known_side(self) -> int:
         """Longer side of the maps that the estimator knows, in cells."""
-        network = self.estimator
-        return network.architecture.side if isinstance(network, NetworkCostToGo) else Architecture.side
+        return trait(self.estimator, "side") or Architecture.side
 
     def _extent(self, world: World) -> Extent:
         """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
@@ -424,7 +422,7 @@ class DC2G(AskingPlanner):
         if not self.magnifies or max(world.height, world.width) <= side:
             return extent_of(self.estimator)
         zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
-        return Surroundings(zooms, side, float(side))
+        return TownWindow(zooms, side)
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """The selection rule's summary of the estimate.

@@ -97,12 +97,11 @@ class TrainedEncoder:
 
 #: Encoders as they are saved.
 ENCODER = Kind(
-    "encoder", EncoderArchitecture, lambda architecture: SmallEncoder, OBJECT_CLASSES, "dc2g train-indoor",
-    np.float16,
-)  # fmt: skip
+    "encoder", EncoderArchitecture, SmallEncoder, "dc2g train-indoor", classes=OBJECT_CLASSES, dtype=np.float16
+)
 
 
 def load_encoder(folder: str | Path) -> TrainedEncoder:
     """Read an encoder, see `estimation.read_network`."""
-    _, weights, architecture, _ = read_network(folder, [ENCODER])
+    _, weights, architecture, _ = read_network(folder, ENCODER)
     return TrainedEncoder(weights, architecture)

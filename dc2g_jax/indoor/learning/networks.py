@@ -240,9 +240,8 @@ class CostMapEstimator:
 
 #: Networks as they are saved.
 COST_MAPS = Kind(
-    "cost_maps", CostMapArchitecture, lambda architecture: CostMapNetwork, OBJECT_CLASSES, "dc2g train-indoor",
-    np.float16,
-)  # fmt: skip
+    "cost_maps", CostMapArchitecture, CostMapNetwork, "dc2g train-indoor", classes=OBJECT_CLASSES, dtype=np.float16
+)
 
 
 def load_costs(place: str | Path | None = None) -> CostMapEstimator:
@@ -256,7 +255,7 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
       InputError: a file is missing or invalid, or the two do not match.
     """
     folder = resource(_SHIPPED) if place is None else local_folder(place)
-    _, weights, architecture, card = read_network(folder, [COST_MAPS])
+    _, weights, architecture, card = read_network(folder, COST_MAPS)
     encoder = load_encoder(folder / ENCODER_FOLDER)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
         sizes = f"{card['cell_size']:g} m, maps here have {IndoorMapSettings.cell_size:g} m"

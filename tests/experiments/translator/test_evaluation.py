@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.estimation.estimators import ExactCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.images import in_eight_bits
-from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture, init_weights
+from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
@@ -23,7 +21,9 @@ from experiments.translator.evaluation import (
     map_for,
     metrics_over_pairs,
 )
+from experiments.translator.images import in_eight_bits
 from experiments.translator.metrics import HouseMetrics, compare_images
+from experiments.translator.network import Generator, TranslatorArchitecture, TranslatorCostToGo, init_weights
 from experiments.translator.pairs import all_pairs, masked_map
 from tests.support import maps
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.pix2pix import Discriminator
 from dc2g_jax._src.estimation.weights import with_weights
+from experiments.translator.network import Discriminator
 from experiments.translator.pairs import ImageSet
 from experiments.translator.training import (
     TRANSLATOR_LOSSES,

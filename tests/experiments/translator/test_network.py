@@ -1,15 +1,15 @@
 """The pix2pix networks: the published shapes, layers that do what they say, and an estimator that planners can use."""
 
 import functools
+import json
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation import images, pix2pix
-from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
-from dc2g_jax._src.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
+import dc2g_jax as dc2g
+from dc2g_jax._src.estimation.checkpoints import write_network
 from dc2g_jax._src.estimation.weights import shapes_of_weights, with_weights
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
@@ -17,6 +17,16 @@ from dc2g_jax._src.grid.sampling import resize_nearest
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G
 from dc2g_jax._src.planning.rules import complete_rules
+from experiments.translator import images, network as pix2pix
+from experiments.translator.network import (
+    TRANSLATOR,
+    Discriminator,
+    Generator,
+    TranslatorArchitecture,
+    TranslatorCostToGo,
+    init_weights,
+)
+from tests.support.refusals import refusal
 
 TINY = TranslatorArchitecture(size=32, base_filters=4)
 translate = jax.jit(lambda weights, *inputs: with_weights(Generator, TINY, weights)(*inputs))
@@ -139,3 +149,17 @@ def test_a_planner_uses_it(weights, street):
         decision, state = plan(belief, state)
         belief = gridworld.step(world, belief, decision.action, rules.sensing)
     assert int(belief.steps) == 3
+
+
+def test_a_saved_translator_is_found_by_its_card(tmp_path, weights):
+    folder = write_network(tmp_path, weights, TINY, TRANSLATOR, {"loss": "l1"})
+    loaded = dc2g.load_network(folder)
+    assert isinstance(loaded, TranslatorCostToGo)
+    assert loaded.architecture == TINY
+    jax.tree.map(np.testing.assert_array_equal, loaded.weights, weights)
+    card = json.loads((folder / "network.json").read_text())
+    assert card["network"] == "experiments.translator.network:TRANSLATOR"
+    for wrong in ({"size": 33}, {"base_filters": 0}, {"compute_dtype": 8}):
+        changed = {**card, "architecture": {**card["architecture"], **wrong}}
+        (folder / "network.json").write_text(json.dumps(changed))
+        refusal(lambda: dc2g.load_network(folder), "network.json", "architecture")

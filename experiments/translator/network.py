@@ -8,17 +8,21 @@ normalized value would be zero. Dropout is off at inference, so that outputs are
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import nnx
-from jaxtyping import Array, Float
+from flax import nnx, struct
+from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.weights import shapes_of_weights
+from dc2g_jax._src.errors import InputError, check_name, check_number
+from dc2g_jax._src.estimation.checkpoints import Kind
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.weights import shapes_of_weights, with_weights
+from dc2g_jax._src.grid.sampling import resize_nearest
 from dc2g_jax._src.programs import jit
+from experiments.translator import images
 
 _KERNEL = (4, 4)
 _SPREAD = 0.02
@@ -52,10 +56,8 @@ class TranslatorArchitecture:
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096 or self.size & (self.size - 1):
             raise InputError(f"size {self.size}: give a power of two from 32 to 4096")
-        if not 1 <= self.base_filters <= 1024:
-            raise InputError(f"base_filters {self.base_filters}: give a number from 1 to 1024")
-        if self.compute_dtype not in _COMPUTE_DTYPES:
-            raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(_COMPUTE_DTYPES)}")
+        check_number("base_filters", self.base_filters, whole=True, least=1, most=1024)
+        check_name("compute_dtype", self.compute_dtype, _COMPUTE_DTYPES)
 
     @property
     def widths(self) -> tuple[int, ...]:
@@ -144,7 +146,7 @@ class Generator(nnx.Module):
             setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
 
     def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
-        """Translate images of maps to images of their cost-to-go, see `estimation.images`.
+        """Translate images of maps to images of their cost-to-go, see `experiments.translator.images`.
 
         A key turns on dropout, as in training; without it, the output is deterministic.
         """
@@ -204,3 +206,46 @@ def init_weights(network: Network, architecture: TranslatorArchitecture, key: Ar
 
     weights = [weight(path, leaf, end) for (path, leaf), end in zip(leaves, ends.tolist(), strict=True)]
     return jax.tree_util.tree_unflatten(structure, weights)
+
+
+@struct.dataclass
+class TranslatorCostToGo(Estimator):
+    """The paper's image-to-image translator. It reads an image of the map and draws one of the cost-to-go.
+
+    Attributes:
+      weights: the generator's weights.
+      architecture: architecture of the networks.
+    """
+
+    weights: Any
+    architecture: TranslatorArchitecture = struct.field(pytree_node=False)
+    #: Brightness is relative to the brightest cell.
+    in_cells: ClassVar[bool] = False
+
+    def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
+        """Cost-to-go images of partial maps, which are first resized to the network's size."""
+        size = self.architecture.size
+        return self.answer(jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain))
+
+    def answer(self, pictures: Float[Array, "b s s 3"]) -> Float[Array, "b s s 3"]:
+        """Cost-to-go images, quantized to 8 bits, for images of partial maps of the network's size."""
+        generator = with_weights(Generator, self.architecture, self.weights)
+        return jax.vmap(images.in_eight_bits)(generator(pictures))
+
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
+        """1 - brightness of the network's image; 1 for pixels that are not traversable."""
+        del state
+        height, width, *batch = terrain.shape
+        answers = self.translate(jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0))
+        costs = jax.vmap(lambda one: images.read_cost_to_go(one, height, width))(answers)
+        return jnp.moveaxis(costs, 0, -1).reshape(1, height, width, *batch)
+
+
+#: Translators as they are saved.
+TRANSLATOR = Kind(
+    "experiments.translator.network:TRANSLATOR",
+    TranslatorArchitecture,
+    Generator,
+    "python -m experiments.reproduce_fig5",
+    TranslatorCostToGo,
+)

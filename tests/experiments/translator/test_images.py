@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from dc2g_jax._src.estimation import images
 from dc2g_jax._src.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax._src.grid.search import cost_to_go
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+from experiments.translator import images
 from tests.support import maps
 from tests.support.places import PUBLISHED
 
