@@ -13,6 +13,7 @@ import pytest
 from hypothesis import settings
 from jax._src import compiler  # no public option chooses the emitters of programs that are compiled from here on
 
+from tests.support.golden import GOLDEN, Arrays, Table, read_arrays, read_table
 from tests.support.places import PUBLISHED, ROOT, SHARED
 
 pytest_plugins = ["tests.support.fixtures"]
@@ -110,10 +111,22 @@ def shared_files(shared: Path) -> Callable[[str, str], list[Path]]:
 
 
 @pytest.fixture(scope="session")
-def golden_grids(shared: Path) -> dict[str, np.ndarray]:
+def golden_grids() -> dict[str, np.ndarray]:
     """House name -> class grid, as the authors' code had them."""
-    with np.load(shared / "golden" / "grids.npz") as grids:
-        return dict(zip(grids["house"].tolist(), grids["terrain"], strict=True))
+    grids = read_arrays(GOLDEN / "grids.npz")
+    return dict(zip(grids["house"].tolist(), grids["terrain"], strict=True))
+
+
+@pytest.fixture(scope="session")
+def golden_episodes() -> Table:
+    """Episodes of the authors' code, one a row."""
+    return read_table(GOLDEN / "episodes.csv")
+
+
+@pytest.fixture(scope="session")
+def golden_states() -> Arrays:
+    """Moments inside episodes of the authors' code."""
+    return read_arrays(GOLDEN / "states.npz")
 
 
 @pytest.fixture(scope="session")
