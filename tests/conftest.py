@@ -16,8 +16,6 @@ from jax._src import compiler  # no public option chooses the emitters of progra
 from tests.support.golden import GOLDEN, Arrays, Table, read_arrays, read_table
 from tests.support.places import PUBLISHED, ROOT, SHARED
 
-pytest_plugins = ["tests.support.fixtures"]
-
 CACHE = ROOT / ".pytest_cache"
 
 # No test asks the network for the dataset: it is the copy beside the repository, or else the procedural houses.
@@ -135,6 +133,18 @@ def published_dataset(shared: Path):
     from dc2g_jax._src.readers.houses import load_dataset
 
     return load_dataset(PUBLISHED)
+
+
+@pytest.fixture(scope="session")
+def compact_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a tiny compact network that has learned nothing."""
+    from dc2g_jax._src.estimation.checkpoints import save_network
+    from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+    from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+
+    architecture = Architecture(widths=(4, 4, 4, 4))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(0)), architecture=architecture)
+    return save_network(tmp_path_factory.mktemp("compact") / "network", network)
 
 
 @pytest.fixture(scope="session")
