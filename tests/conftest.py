@@ -13,9 +13,8 @@ import pytest
 from hypothesis import settings
 from jax._src import compiler  # no public option chooses the emitters of programs that are compiled from here on
 
+from tests.support.golden import GOLDEN, Arrays, Table, read_arrays, read_table
 from tests.support.places import PUBLISHED, ROOT, SHARED
-
-pytest_plugins = ["tests.support.fixtures"]
 
 CACHE = ROOT / ".pytest_cache"
 
@@ -110,10 +109,22 @@ def shared_files(shared: Path) -> Callable[[str, str], list[Path]]:
 
 
 @pytest.fixture(scope="session")
-def golden_grids(shared: Path) -> dict[str, np.ndarray]:
+def golden_grids() -> dict[str, np.ndarray]:
     """House name -> class grid, as the authors' code had them."""
-    with np.load(shared / "golden" / "grids.npz") as grids:
-        return dict(zip(grids["house"].tolist(), grids["terrain"], strict=True))
+    grids = read_arrays(GOLDEN / "grids.npz")
+    return dict(zip(grids["house"].tolist(), grids["terrain"], strict=True))
+
+
+@pytest.fixture(scope="session")
+def golden_episodes() -> Table:
+    """Episodes of the authors' code, one a row."""
+    return read_table(GOLDEN / "episodes.csv")
+
+
+@pytest.fixture(scope="session")
+def golden_states() -> Arrays:
+    """Moments inside episodes of the authors' code."""
+    return read_arrays(GOLDEN / "states.npz")
 
 
 @pytest.fixture(scope="session")
@@ -122,6 +133,18 @@ def published_dataset(shared: Path):
     from dc2g_jax._src.readers.houses import load_dataset
 
     return load_dataset(PUBLISHED)
+
+
+@pytest.fixture(scope="session")
+def compact_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a tiny compact network that has learned nothing."""
+    from dc2g_jax._src.estimation.checkpoints import save_network
+    from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+    from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+
+    architecture = Architecture(widths=(4, 4, 4, 4))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(0)), architecture=architecture)
+    return save_network(tmp_path_factory.mktemp("compact") / "network", network)
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ from dc2g_jax._src.cli.options import ResumeOptions
 from dc2g_jax._src.cli.outputs import RUN_FILE
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import is_unfinished
-from tests.support import places
+from tests.support import commands
 from tests.support.faults import FAULTS, Death, Fault, faulty, points
 from tests.support.resumable import COMMANDS, Command, write_houses
 
@@ -106,7 +106,7 @@ def try_all(name: str, houses: str, folder: Path, patch: pytest.MonkeyPatch, eve
 
 
 def test_every_command_that_can_be_resumed_is_tried():
-    options = {module: importlib.import_module(module).Options for module in places.COMMANDS.values()}
+    options = {module: importlib.import_module(module).Options for module in commands.COMMANDS.values()}
     resumable = {module.rpartition(".")[2] for module, one in options.items() if issubclass(one, ResumeOptions)}
     assert resumable == COMMANDS.keys() - {"train_command_with_encoder"}
 

@@ -1,6 +1,6 @@
 """The package does what the authors' code did, episode by episode, and recomputes their headline figures."""
 
-import csv
+from collections import Counter
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,9 @@ from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start, published_episodes
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.statistics import extra_steps
+from tests import golden_sample
+from tests.support.golden import SAMPLE, read_arrays, read_table
+from tests.support.places import SHARED
 
 pytestmark = pytest.mark.usefixtures("optimized")
 
@@ -29,16 +32,11 @@ def golden_runner(golden_grids) -> Runner:
     return Runner(HouseDataset("golden", "folder", houses), SETTINGS["reference"], step_limit=1500)
 
 
-@pytest.fixture(scope="module")
-def recorded(shared) -> list[dict[str, str]]:
-    with (shared / "golden" / "episodes.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def test_every_recorded_episode_action_for_action(golden_runner, recorded):
+def test_every_recorded_episode_action_for_action(golden_runner, golden_episodes):
     columns = ("x", "y", "heading", "range", "expanding_range")
-    rows = {(row["planner"], Start(row["house"], *(int(row[column]) for column in columns))): row for row in recorded}
-    assert len(rows) == 1575
+    rows = {
+        (row["planner"], Start(row["house"], *(int(row[column]) for column in columns))): row for row in golden_episodes
+    }
     starts = [start for planner, start in rows if planner == "frontier"]
     checked = 0
     for result in golden_runner.run(starts, ["oracle", "frontier"]):
@@ -51,11 +49,11 @@ def test_every_recorded_episode_action_for_action(golden_runner, recorded):
         assert result.actions == row["actions"], row
         assert (result.success, result.steps) == (row["success"] == "1", int(row["steps"]))
         assert result.mode == "to_goal"
-    assert checked == len(rows)
+    assert checked == len(rows) == len(golden_episodes)
 
 
-@pytest.mark.parametrize(("sensing_range", "moments"), [(5, 31), pytest.param(8, 49, marks=pytest.mark.slow)])
-def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_range, moments):
+@pytest.mark.parametrize("sensing_range", [5, pytest.param(8, marks=pytest.mark.slow)])
+def test_every_recorded_moment_inside_an_episode(golden_states, golden_grids, sensing_range):
     rules = SETTINGS["reference"].rules(sensing_range)
     planner = Frontier(rules)
 
@@ -66,9 +64,8 @@ def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_r
         expanding = rules.frontier_expanding(belief, reachable)
         return plan.action, bitboard.unpack(reachable, 50), poses.unpack(expanding, 50)
 
-    with np.load(shared / "golden" / "states.npz") as file:
-        chosen = file["range"] == sensing_range
-        states = {name: file[name][chosen] for name in file.files}
+    chosen = golden_states["range"] == sensing_range
+    states = {name: values[chosen] for name, values in golden_states.items()}
     terrain = np.stack([golden_grids[house] for house in states["house"].tolist()])
     x, y, heading = states["x"], states["y"], states["heading"]
     actions, reachable, expanding = jax.jit(jax.vmap(look))(terrain, states["seen"], x, y, heading)
@@ -78,7 +75,34 @@ def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_r
     wanted[np.arange(len(x)), heading, y, x] = False  # recorded before the current pose is taken out
     np.testing.assert_array_equal(expanding, wanted)
     assert [ACTION_LETTERS[action] for action in actions] == states["action"].tolist()
-    assert len(x) == moments
+
+
+@pytest.mark.parametrize(("folder", "houses", "moments"), [(SHARED / "golden", 75, (31, 49)), (SAMPLE, 4, (6, 6))])
+def test_what_is_recorded(folder, houses, moments):
+    if not folder.is_dir():
+        pytest.skip("../shared is absent")
+    episodes, states = read_table(folder / "episodes.csv"), read_arrays(folder / "states.npz")
+    assert len({row["house"] for row in episodes}) == houses
+    kinds = Counter((row["planner"], row["range"], row["expanding_range"]) for row in episodes)
+    a_house = {
+        ("oracle", "8", "8"): 6,
+        ("frontier", "8", "8"): 6,
+        ("oracle", "5", "5"): 3,
+        ("frontier", "5", "5"): 3,
+        ("frontier", "5", "4"): 3,
+    }
+    assert kinds == {kind: houses * number for kind, number in a_house.items()}
+    assert tuple(np.sum(states["range"] == sensing_range) for sensing_range in (5, 8)) == moments
+
+
+def test_the_sample_is_that_of_what_was_recorded(shared):
+    episodes, *arrays = golden_sample.sample(shared / "golden")
+    assert read_table(SAMPLE / "episodes.csv") == episodes
+    for name, wanted in zip(("grids.npz", "states.npz"), arrays, strict=True):
+        written = read_arrays(SAMPLE / name)
+        assert written.keys() == wanted.keys()
+        for key, values in wanted.items():
+            np.testing.assert_array_equal(written[key], values, err_msg=key)
 
 
 # --- the 400 published episodes ----------------------------------------------------------------------

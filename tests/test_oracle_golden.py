@@ -1,57 +1,47 @@
 """The plain NumPy oracle reproduces what was recorded from the authors' own code."""
 
-import csv
-import functools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from dc2g_jax._src.readers.starts import PublishedEpisode, published_episodes
 from tests.oracles import numpy_gridworld as oracle
-from tests.support.places import SHARED
+from tests.support.golden import GOLDEN, SAMPLE, read_arrays
 
-GOLDEN = SHARED / "golden"
 PUBLISHED = {"rules": "reference", "sensing_radius": 5, "expanding_radius": 4, "max_steps": 500}
 
-pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="../shared is absent")
+
+@pytest.fixture(params=["some", pytest.param("all", marks=pytest.mark.release)])
+def choose(request: pytest.FixtureRequest) -> Callable:
+    """Recorded episodes, spread evenly and at most so many of them, or all."""
+    return lambda rows, number: rows[:: -(-len(rows) // number) if request.param == "some" else 1]
 
 
-@pytest.fixture(params=[37, pytest.param(1, marks=pytest.mark.release)], ids=["sample", "all"])
-def stride(request: pytest.FixtureRequest) -> int:
-    """One recorded episode in this many is run."""
-    return request.param
-
-
-@functools.cache
-def _terrains() -> dict[str, np.ndarray]:
-    with np.load(GOLDEN / "grids.npz") as grids:
-        return dict(zip(grids["house"].tolist(), grids["terrain"], strict=True))
-
-
-def _rows(name: str, stride: int) -> list[dict[str, str]]:
-    with (GOLDEN / name).open() as file:
-        return list(csv.DictReader(file))[::stride]
+@pytest.fixture(scope="module")
+def published(golden_grids) -> list[PublishedEpisode]:
+    """The published episodes in the recorded houses."""
+    return [episode for episode in published_episodes() if episode.start.house in golden_grids]
 
 
 def _pose(row: dict[str, str]) -> oracle.Pose:
     return int(row["x"]), int(row["y"]), int(row["heading"])
 
 
-def test_classes_are_those_of_the_data() -> None:
-    with np.load(GOLDEN / "grids.npz") as grids:
-        names = grids["class_names"].tolist()
-        assert not (grids["terrain"] == 0).any()  # a seen cell of class 0 would look unseen
+def test_classes_are_those_of_the_data(golden_grids) -> None:
+    names = read_arrays(GOLDEN / "grids.npz")["class_names"].tolist()
+    assert all(np.all(terrain != 0) for terrain in golden_grids.values())  # a seen cell of class 0 would look unseen
     assert names[oracle.FRONT_DOOR] == "front_door"
     traversable = {names[index] for index in oracle.TRAVERSABLE_CLASSES}
     assert traversable == {"front_door", "road", "driveway", "path", "sidewalk", "traversable"}
 
 
 @pytest.mark.parametrize("name", ["sensing_5", "sensing_8", "expanding_4", "expanding_5", "expanding_8"])
-def test_kernels(name: str) -> None:
+def test_kernels(shared, name: str) -> None:
     kind, radius = name.split("_")[0], int(name.split("_")[1])
     offsets = oracle.sensing_offsets if kind == "sensing" else oracle.expanding_offsets
     sign = 1 if kind == "sensing" else -1  # the recorded expanding kernel goes from frontier cell to robot
-    with np.load(GOLDEN / "kernels.npz") as kernels:
-        recorded = kernels[name]
+    recorded = read_arrays(shared / "golden" / "kernels.npz")[name]
     for heading in range(4):
         kernel = np.zeros_like(recorded[heading])
         for dx, dy in offsets(radius, heading):
@@ -59,11 +49,10 @@ def test_kernels(name: str) -> None:
         np.testing.assert_array_equal(kernel, recorded[heading])
 
 
-def test_states() -> None:
-    with np.load(GOLDEN / "states.npz") as file:
-        states = dict(file)
+def test_states(golden_grids, golden_states) -> None:
+    states = golden_states
     for index, house in enumerate(states["house"].tolist()):
-        terrain, seen = _terrains()[house], states["seen"][index]
+        terrain, seen = golden_grids[house], states["seen"][index]
         x, y, heading = pose = tuple(int(states[name][index]) for name in ("x", "y", "heading"))
         free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
         reached = oracle.reachable(free, x, y)
@@ -81,10 +70,10 @@ def test_states() -> None:
         assert oracle.ACTION_LETTERS[actions[0]] == states["action"][index]
 
 
-def test_episodes(stride: int) -> None:
-    for row in _rows("episodes.csv", stride):
+def test_episodes(golden_grids, golden_episodes, choose) -> None:
+    for row in choose(golden_episodes, 43):
         success, actions, mode = oracle.run_episode(
-            _terrains()[row["house"]],
+            golden_grids[row["house"]],
             _pose(row),
             row["planner"],
             rules="reference",
@@ -95,39 +84,40 @@ def test_episodes(stride: int) -> None:
         assert (success, actions, mode) == (row["success"] == "1", row["actions"], "to_goal"), row
 
 
-def test_published_step_counts(stride: int) -> None:
-    rows = _rows("published_episodes.csv", stride)
+def test_published_step_counts(golden_grids, published, choose) -> None:
+    episodes = choose(published, 11)
     agree = {"oracle": 0, "frontier": 0}
-    for row in rows:
+    for episode in episodes:
         for planner in agree:
-            _, actions, _ = oracle.run_episode(_terrains()[row["house"]], _pose(row), planner, **PUBLISHED)
-            agree[planner] += len(actions) == int(row[f"{planner}_steps"])
+            terrain, pose = golden_grids[episode.start.house], episode.start[1:4]
+            _, actions, _ = oracle.run_episode(terrain, pose, planner, **PUBLISHED)
+            agree[planner] += len(actions) == getattr(episode, planner)
     # On the recorded grids 388 and 377 of all 400 agree; most of the rest hangs on how the authors' library
     # rounded when it sampled the images (oracle: 392 on grids sampled with ties rounded down).
-    if stride == 1:
+    if len(episodes) == 400:
         assert agree == {"oracle": 377, "frontier": 388}
-    assert min(agree.values()) >= 0.9 * len(rows)
+    assert min(agree.values()) >= 0.9 * len(episodes)
 
 
-def test_exact_cost_to_go_leads_to_the_door(stride: int) -> None:
-    rows = _rows("published_episodes.csv", stride)
+def test_exact_cost_to_go_leads_to_the_door(golden_grids, published, choose) -> None:
     extra = []
-    for row in rows:
-        terrain = _terrains()[row["house"]]
+    for episode in choose(published, 11):
+        terrain, pose = golden_grids[episode.start.house], episode.start[1:4]
         traversable = np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
         costs = oracle.cost_to_go(traversable, terrain == oracle.FRONT_DOOR)
-        _, shortest, _ = oracle.run_episode(terrain, _pose(row), "oracle", **PUBLISHED)
-        success, actions, _ = oracle.run_episode(terrain, _pose(row), "dc2g", **PUBLISHED, cost_to_go=costs)
+        _, shortest, _ = oracle.run_episode(terrain, pose, "oracle", **PUBLISHED)
+        success, actions, _ = oracle.run_episode(terrain, pose, "dc2g", **PUBLISHED, cost_to_go=costs)
         assert success
         extra.append(100 * (len(actions) / len(shortest) - 1))
     assert min(extra) >= 0
-    assert np.mean(extra) < 10  # 7.4 over all 400: the cost is 8-connected and ignores turns, the robot is not
+    # The cost is 8-connected and ignores turns, the robot is not: 7.4 over all 400, 10.1 over the sample's 31.
+    assert np.mean(extra) < (15 if GOLDEN == SAMPLE else 10)
 
 
-def test_cost_to_go_equals_scipy() -> None:
+def test_cost_to_go_equals_scipy(golden_grids) -> None:
     sparse = pytest.importorskip("scipy.sparse")
     csgraph = pytest.importorskip("scipy.sparse.csgraph")
-    for terrain in list(_terrains().values())[::10]:
+    for terrain in list(golden_grids.values())[::10]:
         traversable, goals = np.isin(terrain, oracle.TRAVERSABLE_CLASSES), terrain == oracle.FRONT_DOOR
         index = np.arange(terrain.size).reshape(terrain.shape)
         links: dict[tuple[int, int], float] = {}
@@ -144,9 +134,9 @@ def test_cost_to_go_equals_scipy() -> None:
         np.testing.assert_allclose(costs.ravel(), np.where(traversable.ravel(), expected, np.inf), rtol=1e-12)
 
 
-def test_distances_are_lengths_of_shortest_plans() -> None:
-    row = _rows("episodes.csv", 1)[0]
-    free = np.isin(_terrains()[row["house"]], oracle.TRAVERSABLE_CLASSES)
+def test_distances_are_lengths_of_shortest_plans(golden_grids, golden_episodes) -> None:
+    row = golden_episodes[0]
+    free = np.isin(golden_grids[row["house"]], oracle.TRAVERSABLE_CLASSES)
     distances = oracle.distances_from(free, _pose(row))
     np.testing.assert_array_equal((distances >= 0).all(axis=0), oracle.reachable(free, *_pose(row)[:2]))
     for heading, y, x in np.argwhere(distances >= 0)[::211]:
@@ -155,9 +145,9 @@ def test_distances_are_lengths_of_shortest_plans() -> None:
         assert len(oracle.shortest_actions(free, _pose(row), target)) == distances[heading, y, x]
 
 
-def test_complete_rules_find_the_door_or_see_everything(stride: int) -> None:
-    for row in _rows("published_episodes.csv", stride)[::4]:
-        terrain, pose = _terrains()[row["house"]], _pose(row)
+def test_complete_rules_find_the_door_or_see_everything(golden_grids, published, choose) -> None:
+    for episode in choose(published[::4], 3):
+        terrain, pose = golden_grids[episode.start.house], episode.start[1:4]
         settings = {"rules": "complete", "sensing_radius": 8, "expanding_radius": 8, "max_steps": 5000}
         success, _, mode = oracle.run_episode(terrain, pose, "frontier", **settings)
         assert (success, mode) == (True, "to_goal")

@@ -1,6 +1,5 @@
 """The programs we compare ourselves with do the same as the recorded episodes and the plain NumPy oracle."""
 
-import csv
 import stat
 import subprocess
 import tempfile
@@ -39,12 +38,10 @@ def letters(outcome: Outcome, episode: int) -> str:
     return "".join(ACTION_LETTERS[action] for action in outcome.actions[episode, : outcome.steps[episode]])
 
 
-def test_recorded_episodes_action_for_action(shared, golden_grids, run_episodes):
+def test_recorded_episodes_action_for_action(golden_grids, golden_episodes, run_episodes):
     names, terrain = list(golden_grids), np.stack(list(golden_grids.values()))
-    with (shared / "golden" / "episodes.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
     groups: dict[tuple[str, str, str], list[dict[str, str]]] = {}
-    for row in rows[::3]:
+    for row in golden_episodes[::3]:
         groups.setdefault((row["planner"], row["range"], row["expanding_range"]), []).append(row)
     checked = 0
     for (planner, sensing_range, expanding_range), group in groups.items():
@@ -63,7 +60,7 @@ def test_recorded_episodes_action_for_action(shared, golden_grids, run_episodes)
                 assert result == (row["success"] == "1", row["actions"]), (name, row)
                 assert np.all(outcome.actions[episode, outcome.steps[episode] :] == -1)
                 checked += 1
-    assert checked >= len(rows) // 3
+    assert checked >= len(golden_episodes) // 3
 
 
 @pytest.mark.parametrize("rules", ["reference", "complete"])

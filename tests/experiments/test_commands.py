@@ -37,9 +37,9 @@ from experiments import (
     reproduce_fig8,
     reproduce_fig9,
 )
-from tests.support.commands import complaint, run
+from tests.support.commands import COMMANDS, complaint, run
 from tests.support.houses import save_dataset
-from tests.support.places import COMMANDS, ROOT
+from tests.support.places import ROOT
 from tests.support.refusals import refusal
 
 

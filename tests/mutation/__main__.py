@@ -47,10 +47,20 @@ settings.register_profile("mutation", settings.get_profile("tests"), phases=[Pha
 settings.load_profile("mutation")
 
 
+def modules_of(room: str) -> list[Path]:
+    """The modules of a room of the core or of a client, or one module such as `grid/search.py`."""
+    folders = (ROOT / "dc2g_jax" / "_src", ROOT / "dc2g_jax")
+    return sorted(
+        path for folder in folders for path in folder.glob(room if room.endswith(".py") else f"{room}/**/*.py")
+    )
+
+
 def tests_of(path: str) -> list[str]:
     """The test files of these rooms that import a module, its own first; of all rooms where these have none."""
-    *_, room, name = path.removesuffix(".py").split("/", 3)
-    own, imports = ROOT / "tests" / room / f"test_{name}.py", rf"dc2g_jax\._src\.{room}(\.{name}| import .*\b{name})\b"
+    package, name = path.removesuffix(".py").rsplit("/", 1)
+    room = package.removeprefix("dc2g_jax/").removeprefix("_src/")
+    own = ROOT / "tests" / room / f"test_{name}.py"
+    imports = rf"{re.escape(package.replace('/', '.'))}(\.{name}| import .*\b{name})\b"
     files = [file for file in sorted((ROOT / "tests").rglob("test_*.py")) if re.search(imports, file.read_text())]
     near = [file for file in files if file.parent.name in ROOMS]
     return [str(file) for file in dict.fromkeys([own, *near] if own.exists() else near or files)]
@@ -173,15 +183,12 @@ def main() -> None:
     options = parser.parse_args()
     with EQUIVALENT.open(newline="") as file:
         left_out = {tuple(row[:3]) for row in csv.reader(file)}
-    modules = [
-        path
-        for room in options.rooms
-        for path in sorted((ROOT / "dc2g_jax/_src").glob(room if room.endswith(".py") else f"{room}/*.py"))
-    ]
-    every = [mutant for path in modules for mutant in mutants(path)]
+    every = [mutant for room in options.rooms for path in modules_of(room) for mutant in mutants(path)]
     drawn = random.Random(options.seed).sample(every, min(options.count, len(every)))
     chosen = [mutant for mutant in drawn if mutant.key not in left_out]
     for file in sorted((ROOT / "dc2g_jax").rglob("*.py")):  # once for all mutants
+        if file.name == "__main__.py":
+            continue
         importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.touch()

@@ -3,7 +3,20 @@
 import subprocess
 import sys
 
+from dc2g_jax._src.cli import commands
 from tests.support.places import ROOT
+
+
+def _experiments() -> dict[str, str]:
+    """`python -m MODULE` -> MODULE, for all commands in `experiments`."""
+    paths = sorted((ROOT / "experiments").rglob("*.py"))
+    found = [path for path in paths if "command_line(Options" in path.read_text()]
+    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in found]
+    return {f"python -m {module}": module for module in modules}
+
+
+#: All commands: as they are typed -> their modules.
+COMMANDS = {f"dc2g {name}": module for name, (module, _) in commands.COMMANDS.items()} | _experiments()
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess:
