@@ -53,7 +53,6 @@ from . import environments as environments
 from . import estimation as estimation
 from . import files as files
 from . import grid as grid
-from . import gymnasium as gymnasium
 from . import inspection as inspection
 from . import planning as planning
 from . import rollouts as rollouts

@@ -51,6 +51,7 @@ from dc2g_jax._src.grid.terrain import (
     DRIVEWAY as DRIVEWAY,
     FENCE as FENCE,
     FIGURE_COLORS as FIGURE_COLORS,
+    FIGURE_RGB as FIGURE_RGB,
     FREE as FREE,
     FRONT_DOOR as FRONT_DOOR,
     GRASS as GRASS,

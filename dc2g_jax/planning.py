@@ -42,6 +42,7 @@ from dc2g_jax._src.planning.planners import (
     Plan as Plan,
     Planner as Planner,
     assess as assess,
+    assesses as assesses,
     explore_or_finish as explore_or_finish,
     reachable_cells as reachable_cells,
 )

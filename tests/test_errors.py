@@ -17,6 +17,7 @@ from tests.support.refusals import refusal
         (True, {"whole": True, "least": 1}, "--starts True: give a whole number of at least 1"),
         (65, {"whole": True, "least": 1, "most": 64}, "--starts 65: give a whole number from 1 to 64"),
         (0.0, {"above": 0, "hint": "meters"}, "--starts 0.0: give a number above 0 meters"),
+        (-1, {"whole": True, "least": 0, "most": 2**32 - 1}, "--starts -1: give a whole number from 0 to 4294967295"),
         (2.0, {"above": 0, "most": 1}, "--starts 2.0: give a number above 0 and of at most 1"),
         (math.nan, {}, "--starts nan: give a number"),
         (math.inf, {"least": 0}, "--starts inf: give a number of at least 0"),

@@ -102,7 +102,7 @@ def with_property(whole: Any, name: str) -> tuple[tuple[type, type], Callable[[t
 
 def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     """Boundary -> what sends an object of a class through it, and the two classes."""
-    from dc2g_jax._src.environments import functional, gymnasium_env
+    from dc2g_jax._src.environments import functional
     from dc2g_jax._src.estimation.estimators import ExactCostToGo
     from dc2g_jax._src.figures.replay import replay
     from dc2g_jax._src.grid.poses import make_pose
@@ -118,6 +118,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.training.masks import collect_masks
     from dc2g_jax._src.training.step import stacked, supervised_step
     from dc2g_jax._src.training.sweeps import stacked_hyperparameters
+    from dc2g_jax.gymnasium import environment as gymnasium_env
     from dc2g_jax.indoor.learning import training as indoor_training
     from dc2g_jax.indoor.search import guides, searches
     from experiments.benchmarks import workload
@@ -238,7 +239,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         "translator": (translate, variants(Drawer, "pairs")),
         "indoor training": (train_indoors, of_indoor),
         "environment": (
-            lambda cls: gymnasium_env._reset(jax.random.key(0), make_params(cls), environment),
+            lambda cls: gymnasium_env._reset(jax.random.key(0)[None], make_params(cls), environment),
             of_params,
         ),
         "pictures": (picture, of_estimator),

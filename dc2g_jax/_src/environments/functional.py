@@ -14,7 +14,6 @@ left, 2 turn right. A robot that drives against an obstacle stays in place. Any 
 """
 
 import dataclasses
-import numbers
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -25,7 +24,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from dc2g_jax._src.environments import spaces
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
@@ -217,6 +216,8 @@ def front_door(
       InputError: there are no houses, no episode can be run in one of them (leave out those for which `why_no_episode`
         gives a reason), their sizes differ, or a number is out of bounds.
     """
+    check_number("sensing_range", sensing_range, whole=True, least=1, most=MAX_SENSING_RANGE)
+    check_number("step_limit", step_limit, whole=True, least=1, most=_MAX_STEP_LIMIT)
     if not houses:
         raise InputError("houses: there are none; give at least one")
     for house in houses:
@@ -229,19 +230,9 @@ def front_door(
         start_cells=jnp.asarray(np.concatenate(cells), jnp.int32),
         first_start=jnp.asarray(np.cumsum(counts) - counts, jnp.int32),
         start_count=jnp.asarray(counts, jnp.int32),
-        step_limit=jnp.int32(whole_number("step_limit", step_limit, 1, _MAX_STEP_LIMIT)),
+        step_limit=jnp.int32(step_limit),
     )
-    sensing = field_of_view(whole_number("sensing_range", sensing_range, 1, MAX_SENSING_RANGE))
-    return FrontDoor(sensing, params), params
-
-
-def whole_number(name: str, value: object, low: int, high: int | None = None) -> int:
-    """The value as an integer within bounds. Raises InputError, which names it, for any other value."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not whole or int(value) < low or (high is not None and int(value) > high):  # type: ignore[call-overload]
-        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise InputError(f"{name} is {value!r}; give a whole number {bounds}")
-    return int(value)  # type: ignore[call-overload]
+    return FrontDoor(field_of_view(int(sensing_range)), params), params
 
 
 def observe(state: State) -> Observation:

@@ -236,14 +236,19 @@ def asks(planner: Planner) -> TypeGuard[AskingPlanner]:
     return isinstance(planner, AskingPlanner) and _depth(planner, "conclude") <= _depth(planner, "assess", "plan")
 
 
+def assesses(planner: Planner) -> TypeGuard[AssessingPlanner]:
+    """Whether a planner's `assess` describes its decisions, rather than those before a subclass with its own `plan`."""
+    return _depth(planner, "assess") <= _depth(planner, "plan")
+
+
 def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
     """A planner's decision and its inputs.
 
     For a planner without `assess`, the candidates are those of the rules on reachable ground, and the nearest wins. The
     same holds for a subclass with its own `plan` and an inherited `assess`, which would describe another plan.
     """
-    if _depth(planner, "assess") <= _depth(planner, "plan"):
-        return planner.assess(belief, state)  # type: ignore[attr-defined]
+    if assesses(planner):
+        return planner.assess(belief, state)
     plan, state = planner.plan(belief, state)
     reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
     return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.files.class_images import (
     PALETTE_FILE,
     read_class_image,
@@ -157,8 +157,6 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
             value and the remedy.
     """
     folder = Path(folder)
-    if cells is not None and cells < 1:
-        raise InputError(f"{folder}: a grid of {cells} cells a side is not a grid; give at least 1")
     try:
         _check_folder(folder)
         listed = _read_house_lists(folder)
@@ -240,6 +238,8 @@ def open_dataset(
         InputError: the given location is not a valid dataset, a downloaded file is not the published one, or the
             download is refused or interrupted. These cases never fall back to other houses.
     """
+    if cells is not None:
+        check_number("cells", cells, whole=True, least=1)
     if location is not None:
         return _open_location(os.fspath(location), "the dataset location", cells)
     if os.environ.get("DC2G_DATA"):

@@ -10,7 +10,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.grid import Pose, belief_from_map
-from dc2g_jax.planning import assess, complete_rules
+from dc2g_jax.planning import Planner, assesses
 from dc2g_jax.robot.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
 from dc2g_jax.robot.driving.robot import is_driving, run_all
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
@@ -120,16 +120,17 @@ def _next(
     frame, _ = sensed(robot, site, equipment)
     seen = picture(site.scene, equipment.camera, outdoor_camera(robot.vehicle))
     after = jax.lax.fori_loop(0, equipment.frame_periods, lambda _, now: step(now, site, equipment), robot)
-    return seen, frame, after, believed(after), _predicted(after, equipment)
+    return seen, frame, after, believed(after), _predicted(after, equipment.planner)
 
 
-def _predicted(robot: Robot, equipment: Equipment) -> Float[Array, "h w"] | None:
+def _predicted(robot: Robot, planner: Planner) -> Float[Array, "h w"] | None:
     """The planner's cost-to-go of every cell at the robot's last decision; `None` for planners without one."""
-    # On the map of that decision, the planner has nothing to estimate anew. The rules do not matter to costs.
+    if not assesses(planner):
+        return None
+    # On the map of that decision, the planner has nothing to estimate anew.
     column, row = robot.decided_in
     belief = belief_from_map(robot.decided_on, Pose(x=column, y=row, heading=jnp.zeros_like(row)))
-    rules = complete_rules(equipment.sensing.radius)
-    return assess(equipment.planner, belief, robot.planner_state, rules)[0].cost_to_go
+    return planner.assess(belief, robot.planner_state)[0].cost_to_go
 
 
 def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:

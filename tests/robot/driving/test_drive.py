@@ -15,7 +15,7 @@ from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Frontier, Oracle
 from dc2g_jax._src.planning.selection import ENDLESS
-from dc2g_jax.robot import figures
+from dc2g_jax.robot import figures as driving_figures
 from dc2g_jax.robot.driving import fleet
 from dc2g_jax.robot.driving.drive import ARRIVED, NOTHING_LEFT, reset, step
 from dc2g_jax.robot.driving.robot import DRIVING
@@ -79,8 +79,8 @@ def test_the_predicted_cost_to_go_of_each_decision_is_shown(tmp_path, monkeypatc
         assert np.isfinite(predicted).all()
         assert np.ptp(predicted) > 1
     drawn: list[Figure] = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, path: drawn.append(figure))
-    figures.plot_moments(tmp_path / "fig9", drive, rows=2, cell_size=1.0)
+    monkeypatch.setattr(driving_figures, "save_figure", lambda figure, path: drawn.append(figure))
+    driving_figures.plot_moments(tmp_path / "fig9", drive, rows=2, cell_size=1.0)
     panels = drawn[0].axes[:8]  # a row is camera, map, prediction, and path
     for moment, panel in zip((drive[0], drive[-1]), panels[2::4], strict=True):
         ground = TRAVERSABLE[moment.robot.terrain]

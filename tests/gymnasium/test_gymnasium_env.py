@@ -1,10 +1,11 @@
 """The Gymnasium environments: registration, episodes, autoreset, pictures and refusals."""
 
-import inspect
+import pickle
 import subprocess
 import sys
 import textwrap
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,13 +16,12 @@ from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E40
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-from dc2g_jax._src.environments.functional import egocentric, observe  # noqa: E402
-from dc2g_jax._src.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
-from dc2g_jax._src.environments.registration import GYMNASIUM_ID  # noqa: E402
-from dc2g_jax._src.environments.task import FrontDoorTask, make_env  # noqa: E402
+from dc2g_jax._src.environments.functional import Observation, egocentric  # noqa: E402
+from dc2g_jax._src.grid.poses import make_pose  # noqa: E402
 from dc2g_jax._src.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
 from dc2g_jax._src.readers.houses import HouseDataset  # noqa: E402
-from dc2g_jax.gymnasium import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
+from dc2g_jax.gymnasium import GYMNASIUM_ID, EgocentricObservation, EgocentricVectorObservation  # noqa: E402
+from dc2g_jax.gymnasium.environment import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
 from tests.oracles import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, WALLED, YARD, house, save_dataset, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -45,7 +45,7 @@ def make_vec(robots, mode="vector_entry_point", **options):
 def test_processes_that_were_forked_end_with_one_line_where_jax_would_hang():
     script = textwrap.dedent("""
         import multiprocessing, sys
-        from tests.environments.test_gymnasium_env import make, make_vec
+        from tests.gymnasium.test_gymnasium_env import make, make_vec
         make().reset()
         child = multiprocessing.get_context("fork").Process(target=make)
         child.start()
@@ -82,7 +82,7 @@ spec = gymnasium.envs.registration._find_spec("{name}")
 print(spec.entry_point, spec.vector_entry_point)
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True, check=True)
-    module = "dc2g_jax._src.environments.gymnasium_env"
+    module = "dc2g_jax.gymnasium.environment"
     assert done.stdout == f"{module}:FrontDoorEnv {module}:FrontDoorVectorEnv\n"
 
 
@@ -257,13 +257,6 @@ def test_episodes_start_in_every_corner_of_a_map():
         assert observation["pose"].tolist() == [x, y, 0]
 
 
-def test_defaults_are_the_same_wherever_an_environment_is_made():
-    names = ("dataset", "split", "sensing_range", "step_limit", "cells")
-    for made in (FrontDoorTask, make_env):
-        defaults = inspect.signature(made).parameters
-        assert [defaults[name].default for name in names] == [None, "train", 8, 500, 50]
-
-
 def test_egocentric_observations():
     """They are what a robot sees of its own episode: alone, among others, and in the last step."""
     env, envs = EgocentricObservation(make(), radius=3), EgocentricVectorObservation(make_vec(2), radius=3)
@@ -275,43 +268,62 @@ def test_egocentric_observations():
         seen, *_, infos = envs.step(np.array([action, 1]))
         views_of_both.append(seen)
         if action != WAY[-1]:
-            expected = egocentric(observe(env.unwrapped._state), 3)
+            plain = env.unwrapped._robot.seen(0)
+            expected = egocentric(Observation(jnp.asarray(plain["terrain"]), make_pose(*plain["pose"])), 3)
             np.testing.assert_array_equal(views[-1].argmax(axis=0), expected)
     assert seen in envs.observation_space
     np.testing.assert_array_equal([both[0] for both in views_of_both[:-1]], views[:-1])
     np.testing.assert_array_equal(infos["final_obs"][0], views[-1])
     assert infos["final_obs"][1] is None
     views[-1][:] = 0  # the caller's own
-    refusal(lambda: EgocentricObservation(make(), radius=0), "radius is 0", "at least 1")
+    refusal(lambda: EgocentricObservation(make(), radius=0), "radius 0:", "at least 1")
 
 
-def test_refused_starts():
-    env = make().unwrapped
+@pytest.mark.parametrize(
+    ("options", "mentions"),
+    [
+        ({"color": 3}, ["'color'", "give one of house, x, y, heading"]),
+        ({"house": "yrad"}, ["yrad", "did you mean yard"]),
+        ({"house": "lane"}, ["lane", "'val'", "split='val'"]),
+        ({"house": "walled"}, ["house walled: ", "no ground that leads to a goal"]),
+        ({"x": 3, "y": 1}, ["house yard: column 3, row 1 is a goal already", "nearest cell to start from"]),
+        ({"x": 0, "y": 0}, ["'grass'", "nearest cell to start from"]),
+        ({"x": 10}, ["x 10:", "from 0 to 9"]),
+        ({"y": 2.5}, ["y 2.5:", "a whole number"]),
+        ({"heading": True}, ["heading True:", "from 0 to 3"]),
+        ({"heading": -1}, ["heading -1:", "from 0 to 3"]),
+    ],
+    ids=str,
+)
+def test_refused_starts(options, mentions):
+    refusal(lambda: make().unwrapped.reset(options={**TO_THE_DOOR, **options}), *mentions)
 
-    def refused(*mentions, **options):
-        refusal(lambda: env.reset(options={**TO_THE_DOOR, **options}), *mentions)
 
-    refused("'color'", "unknown", color=3)
-    refused("yrad", "did you mean yard", house="yrad")
-    refused("lane", "'val'", "split='val'", house="lane")
-    refused("walled", "no front door can be reached", house="walled")
-    refused("(3, 1) in yard", "front door already", x=3, y=1)
-    refused("(0, 0)", "grass", "start on", x=0, y=0)
-    refused("x is 10", "from 0 to 9", x=10)
-    refused("y is 2.5", "whole number", y=2.5)
-    refused("heading is True", heading=True)
-    refusal(lambda: env.reset(options={"house": "yard", "x": 5, "y": 4}), "no 'heading'")
+def test_refused_tables_of_starts():
+    refusal(lambda: make().reset(options={"house": "yard", "x": 5, "y": 4}), "no 'heading'")
     refusal(lambda: make_vec(3).reset(options={**TO_THE_DOOR, "x": [5, 5]}), "'x' has 2 values", "one for each of 3")
 
 
-def test_refused_options_and_actions():
-    refusal(lambda: FrontDoorEnv(dataset="/nowhere"), "/nowhere", "not a folder")
-    refusal(lambda: FrontDoorEnv(**{**SMALL, "split": "training"}), "'training'", "train, val, test")
-    refusal(lambda: FrontDoorEnv(**{**SMALL, "sensing_range": 0}), "sensing_range is 0")
-    refusal(lambda: FrontDoorEnv(**{**SMALL, "step_limit": 0}), "step_limit is 0")
-    refusal(lambda: FrontDoorEnv(dataset="procedural", cells=1), "cells is 1", "at least 2")
-    refusal(lambda: FrontDoorEnv(**SMALL, render_mode="human"), "'human'", "'rgb_array'")
-    refusal(lambda: FrontDoorVectorEnv(0, **SMALL), "num_envs is 0")
+@pytest.mark.parametrize(
+    ("options", "mentions"),
+    [
+        ({"dataset": "/nowhere"}, ["/nowhere", "not a folder"]),
+        ({"split": "training"}, ["'training'", "train, val, test"]),
+        ({"sensing_range": 0}, ["sensing_range 0:"]),
+        ({"sensing_range": -1}, ["sensing_range -1:"]),
+        ({"step_limit": 0}, ["step_limit 0:", "from 1 to 2147483647"]),
+        ({"dataset": "procedural", "cells": -1}, ["cells -1:", "at least 1"]),
+        ({"dataset": "procedural", "cells": 1}, ["no episode can be run", "raise cells"]),
+        ({"render_mode": "human"}, ["'human'", "rgb_array or None"]),
+    ],
+    ids=str,
+)
+def test_refused_options(options, mentions):
+    refusal(lambda: FrontDoorEnv(**{**SMALL, **options}), *mentions)
+
+
+def test_refused_robots_and_actions():
+    refusal(lambda: FrontDoorVectorEnv(0, **SMALL), "num_envs 0:")
     other = HouseDataset("two", "folder", (house("street", STREET), house("narrow", STREET[:, :9])))
     refusal(lambda: FrontDoorEnv(dataset=other), "street has 10 x 8", "narrow has 9 x 8")
     env = FrontDoorEnv(**SMALL)
@@ -328,18 +340,22 @@ def test_refused_options_and_actions():
     refusal(lambda: envs.step(np.array([0, -1])), "action is -1")
 
 
+def test_environments_can_be_pickled():
+    for env, action in ((make(), 0), (make_vec(2), np.array([0, 1]))):
+        env.reset(seed=3)
+        copy = pickle.loads(pickle.dumps(env.unwrapped))
+        assert data_equivalence(copy.step(action), env.unwrapped.step(action), exact=True)
+
+
 def test_without_gymnasium_the_extra_is_named():
     script = textwrap.dedent("""
         import sys
         sys.modules["gymnasium"] = None
-        import dc2g_jax._src.environments.functional
+        import dc2g_jax.environments
         try:
-            import dc2g_jax._src.environments.gymnasium_env
-        except ModuleNotFoundError as error:
+            import dc2g_jax.gymnasium
+        except dc2g_jax.InputError as error:
             print(error)
     """)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == [
-        "dc2g_jax._src.environments.gymnasium_env needs gymnasium, which is not installed; "
-        'install the extra: pip install "dc2g_jax[gym]"'
-    ]
+    assert done.stdout == 'gymnasium: not installed; run: pip install "dc2g_jax[gym]"\n'

@@ -4,7 +4,7 @@
     gymnasium.make_vec("dc2g_jax/FrontDoor-v0", ...) -> EgocentricVectorObservation
 
 An observation is then float32 [class side side], ones and zeros. There is one plane for each class of
-`grid.terrain.CLASS_NAMES`, of which the first is for unobserved cells, and one plane for cells beyond the map.
+`dc2g_jax.grid.CLASS_NAMES`, of which the first is for unobserved cells, and one plane for cells beyond the map.
 The robot is in the middle and faces up. The side is 2 `radius` + 1 cells.
 """
 
@@ -18,10 +18,9 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from jaxtyping import Array, Float
 
-from dc2g_jax._src.environments.functional import Observation, one_hot_view, whole_number
-from dc2g_jax._src.grid.poses import Pose
-from dc2g_jax._src.grid.terrain import OUTSIDE
-from dc2g_jax._src.programs import jit
+from dc2g_jax.environments import Observation, one_hot_view
+from dc2g_jax.grid import CLASS_NAMES, Pose
+from dc2g_jax.runtime import check_number, jit
 
 
 class EgocentricObservation(gymnasium.ObservationWrapper[np.ndarray, np.int64, dict[str, np.ndarray]]):
@@ -37,7 +36,7 @@ class EgocentricObservation(gymnasium.ObservationWrapper[np.ndarray, np.int64, d
 
     def __init__(self, env: gymnasium.Env[dict[str, np.ndarray], np.int64], radius: int = 8):
         super().__init__(env)
-        self._radius = whole_number("radius", radius, 1)
+        self._radius = radius
         self.observation_space = _space(radius)
 
     def observation(self, observation: dict[str, np.ndarray]) -> Float[np.ndarray, "class side side"]:
@@ -58,7 +57,7 @@ class EgocentricVectorObservation(gymnasium.vector.VectorWrapper):
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], radius: int = 8):
         super().__init__(env)
-        self._radius = whole_number("radius", radius, 1)
+        self._radius = radius
         self.single_observation_space = _space(radius)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
@@ -80,8 +79,9 @@ class EgocentricVectorObservation(gymnasium.vector.VectorWrapper):
 
 
 def _space(radius: int) -> spaces.Box:
+    check_number("radius", radius, whole=True, least=1)
     side = 2 * radius + 1
-    return spaces.Box(0.0, 1.0, (OUTSIDE + 1, side, side), np.float32)
+    return spaces.Box(0.0, 1.0, (len(CLASS_NAMES) + 1, side, side), np.float32)
 
 
 @functools.partial(jit, static_argnames="radius")

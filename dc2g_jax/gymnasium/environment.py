@@ -1,0 +1,378 @@
+"""The search for a front door as Gymnasium environments: a single one, and a vectorized one in one compiled call.
+
+    import dc2g_jax.gymnasium  # registers the environments
+
+    gymnasium.make("dc2g_jax/FrontDoor-v0", dataset="procedural", split="train")
+    gymnasium.make_vec("dc2g_jax/FrontDoor-v0", num_envs=256, vectorization_mode="vector_entry_point")
+
+Both wrap `dc2g_jax.environments.FrontDoor` and take the same options. They need the extra `gym`.
+
+An observation is a dictionary: `terrain`, uint8 [h w], holds the class index of every observed cell (see
+`dc2g_jax.grid.CLASS_NAMES`) and 0 elsewhere; `pose`, int32 [3], is column, row and heading (0 = +x, 1 = +y, 2 = -x,
+3 = -y; y grows downward). Actions: 0 forward one cell, 1 turn left, 2 turn right. The reward of every action is -1.
+"""
+
+import functools
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space, iterate
+from jaxtyping import Array, Float, Int, UInt8
+from PIL import Image, ImageDraw
+
+from dc2g_jax.datasets import HouseDataset, nearest_start, open_dataset, usable_houses, why_no_start
+from dc2g_jax.environments import FrontDoor, Observation, Params, State, make_env
+from dc2g_jax.grid import CLASS_NAMES, FIGURE_RGB, FORWARD, HEADINGS, Pose, make_pose
+from dc2g_jax.runtime import InputError, check_name, check_number, jit
+
+#: Approximate length of the longer side of a rendered frame, pixels.
+_FRAME_SIDE = 400
+
+#: Color of the robot in a frame, RGB; no class has it.
+RENDERED_ROBOT_COLOR = (240, 228, 66)
+
+#: Least half-length of the robot in a frame, pixels.
+_RENDERED_ROBOT_RADIUS = 9
+
+#: The process that imported this module, and with it JAX.
+_IMPORTED_BY = os.getpid()
+
+_START = ("house", "x", "y", "heading")
+_ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
+
+
+class _Robots:
+    """Robots in separate episodes, each with its own series of random ones: what both environments share.
+
+    Attributes:
+      space: space of the observations of one robot.
+      keys: next key of each series; `None` before the first episodes.
+      observations: the last observations, with a leading axis of robots; `None` before the first episodes.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        render_mode: str | None,
+        dataset: str | os.PathLike[str] | HouseDataset | None = None,
+        split: str = "train",
+        cells: int = 50,
+        **options: Any,
+    ):
+        _leave_forks()
+        check_number("num_envs", count, whole=True, least=1)
+        if render_mode is not None:
+            check_name("render_mode", render_mode, FrontDoorEnv.metadata["render_modes"], "or None")
+        self._count = count
+        self._dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset, cells=cells)
+        environment, self._params = make_env(dataset=self._dataset, split=split, **options)
+        # Without default parameters, so that equal sensing shares programs.
+        self._environment = FrontDoor(environment.sensing)
+        self._split = split
+        self._houses = np.array([house.name for house in usable_houses(self._dataset, split)], object)
+        width, height = self._params.worlds.width, self._params.worlds.height
+        self.space: gymnasium.Space[Any] = spaces.Dict(
+            {
+                "terrain": spaces.Box(0, len(CLASS_NAMES) - 1, (height, width), np.uint8),
+                "pose": spaces.MultiDiscrete([width, height, HEADINGS], dtype=np.int32),
+            }
+        )
+        self.keys: Array | None = None
+        self.observations: Observation | None = None
+        self._states: State | None = None
+
+    @property
+    def houses(self) -> Any:
+        """Name of the house of each robot."""
+        if self._states is None:
+            raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
+        return self._houses[np.asarray(self._states.house)]
+
+    def begin(self, generators: Iterable[np.random.Generator] | None, options: Mapping[str, Any] | None) -> None:
+        """Begin an episode of every robot: where the options say, or the next of its series.
+
+        Args:
+          generators: for each robot one that begins its series; `None` to continue all.
+          options: the start, see `FrontDoorVectorEnv.reset`.
+        """
+        if generators is not None:
+            seeds = [generator.integers(2**31) for generator in generators]
+            self.keys = jax.vmap(jax.random.key)(np.array(seeds, np.int32))
+        if options:
+            self.observations, self._states = _start(*self._starts(options), self._params, self._environment)
+        else:
+            self.keys, self.observations, self._states = _reset(self.keys, self._params, self._environment)
+
+    def act(
+        self, actions: Int[np.ndarray, "robots"], *, autoreset: bool
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray]:
+        """Take one action of every robot, and begin the next episode where one has ended, if `autoreset`.
+
+        Returns:
+          The last observations of the current episodes, rewards, `terminated` and `truncated`.
+        """
+        *begun, rewards, info = _step(
+            self.keys, self._states, actions.astype(np.int32), self._params, self._environment
+        )
+        last, terminated, truncated = (
+            info["final_observation"],
+            np.array(info["terminated"]),
+            np.array(info["truncated"]),
+        )
+        if autoreset or not np.any(terminated | truncated):
+            self.keys, self.observations, self._states = begun
+        else:
+            self.observations, self._states = last, None
+        return last, np.array(rewards, np.float64), terminated, truncated
+
+    def seen(self, chosen: Any = ...) -> dict[str, np.ndarray]:
+        """The last observations of the chosen robots in Gymnasium's format."""
+        assert self.observations is not None
+        return _to_numpy(self.observations, chosen)
+
+    def _starts(self, options: Mapping[str, Any]) -> tuple[Int[Array, "robots"], Pose]:
+        """Index of the house, and pose, of each robot, as options say."""
+        for name in options:
+            check_name("reset option", name, _START)
+        columns = []
+        for name in _START:
+            if name not in options:
+                raise InputError(f"reset options have no {name!r}; a start has {', '.join(_START)}")
+            value = options[name]
+            columns.append([value] * self._count if np.ndim(value) == 0 else list(value))
+            if len(columns[-1]) != self._count:
+                raise InputError(
+                    f"reset option {name!r} has {len(columns[-1])} values; give one, or one for each of {self._count}"
+                )
+        table = np.array([self._start(*row) for row in zip(*columns, strict=True)], np.int32)
+        house, x, y, heading = jnp.asarray(table).T
+        return house, make_pose(x, y, heading)
+
+    def _start(self, name: object, x: Any, y: Any, heading: Any) -> tuple[int, int, int, int]:
+        """One checked start, with the index of the house."""
+        house = self._dataset.house(str(name))
+        if house.split != self._split:
+            raise InputError(
+                f"house {name} is in split {house.split!r}; make the environment with split={house.split!r}"
+            )
+        check_number("x", x, whole=True, least=0, most=house.terrain.shape[1] - 1)
+        check_number("y", y, whole=True, least=0, most=house.terrain.shape[0] - 1)
+        check_number("heading", heading, whole=True, least=0, most=HEADINGS - 1)
+        reason = why_no_start(house.terrain, x, y)
+        if reason or house.name not in self._houses:
+            raise InputError(
+                f"house {name}: {reason or 'no episode can be run in it'}; {nearest_start(house.terrain, x, y)}"
+            )
+        return int(np.flatnonzero(self._houses == house.name)[0]), x, y, heading
+
+
+class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
+    """The search for a front door by one robot, as a Gymnasium environment.
+
+    Observations, actions and rewards are described in the module's documentation. An episode is terminated when the
+    robot reaches a front door, and truncated at the step limit.
+
+    Args:
+      render_mode: `rgb_array` or `None`.
+      **options: `dataset`, `split`, `sensing_range`, `step_limit` and `cells` of `dc2g_jax.make_env`.
+
+    Raises:
+      InputError: an option or the dataset is invalid.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
+
+    def __init__(self, *, render_mode: str | None = None, **options: Any):
+        self._robot = _Robots(1, render_mode, **options)
+        self.render_mode = render_mode
+        self.observation_space = self._robot.space
+        self.action_space = spaces.Discrete(FrontDoor.num_actions)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode at a random or a given start.
+
+        Args:
+          seed: begins the series of random episodes of this seed; `None` continues the current series.
+          options: `None` or empty, or a start: `house` (a name in the split), `x`, `y` and `heading`.
+
+        Returns:
+          Observation, and infos with the house's name as `house`.
+
+        Raises:
+          InputError: an episode cannot start there.
+        """
+        super().reset(seed=seed)
+        begins = seed is not None or self._robot.keys is None
+        self._robot.begin([self.np_random] if begins else None, options)
+        return self._robot.seen(0), {"house": self._robot.houses[0]}
+
+    def step(self, action: np.int64 | int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Take one action. `terminated`: a front door is reached; `truncated`: the step limit is reached."""
+        (house,) = self._robot.houses
+        if not self.action_space.contains(action):
+            raise InputError(f"action is {action!r}; {_ACTIONS}")
+        _, (reward,), (terminated,), (truncated,) = self._robot.act(np.array([action]), autoreset=False)
+        return self._robot.seen(0), float(reward), bool(terminated), bool(truncated), {"house": house}
+
+    def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
+        """An image of the robot's belief, or `None` without render mode."""
+        if self.render_mode is None or self._robot.observations is None:
+            return None
+        return frame(**self._robot.seen(0))
+
+
+class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+    """The vectorized search for a front door: many robots in separate episodes, stepped by one compiled call.
+
+    Robot `i` has the same episodes as a `FrontDoorEnv` with seed `seed + i`. When an episode ends, the next begins in
+    the same step (`AutoresetMode.SAME_STEP`): the observation is the first of the new episode, and the last of the old
+    episode is `final_obs` in the infos.
+
+    Args:
+      num_envs: number of robots.
+      render_mode: see `FrontDoorEnv`.
+      **options: see `FrontDoorEnv`.
+    """
+
+    metadata = {**FrontDoorEnv.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(self, num_envs: int, *, render_mode: str | None = None, **options: Any):
+        self._robots = _Robots(num_envs, render_mode, **options)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.single_observation_space = self._robots.space
+        self.single_action_space = spaces.Discrete(FrontDoor.num_actions)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode of every robot.
+
+        Args:
+          seed: robot `i` gets the seed `seed + i`; `None` continues the current series of episodes.
+          options: `None` or empty, or starts: `house`, `x`, `y` and `heading`, each one value for all or one per robot.
+
+        Returns:
+          Observations, and infos with the houses' names as `house`.
+
+        Raises:
+          InputError: an episode cannot start there.
+        """
+        super().reset(seed=seed)
+        if seed is None and self._robots.keys is None:
+            seed = int(self.np_random.integers(2**31))
+        generators = None if seed is None else [seeding.np_random(seed + robot)[0] for robot in range(self.num_envs)]
+        self._robots.begin(generators, options)
+        return self._robots.seen(), self._infos()
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Take one action of every robot, and begin the next episode where one has ended."""
+        houses, chosen = self._robots.houses, np.asarray(actions)
+        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
+            raise InputError(
+                f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
+            )
+        if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
+            raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
+        last, rewards, terminated, truncated = self._robots.act(chosen, autoreset=True)
+        infos = self._infos()
+        if np.any(done := terminated | truncated):
+            kept = np.full(self.num_envs, None, object)
+            kept[done] = list(iterate(self.observation_space, _to_numpy(last, done)))
+            final = {"house": np.where(done, houses, None), "_house": done.copy()}
+            infos |= {"final_obs": kept, "_final_obs": done, "final_info": final, "_final_info": done.copy()}
+        return self._robots.seen(), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[UInt8[np.ndarray, "height width 3"], ...] | None:
+        """An image of each robot's belief, or `None` without render mode."""
+        if self.render_mode is None or self._robots.observations is None:
+            return None
+        return tuple(frame(**seen) for seen in iterate(self.observation_space, self._robots.seen()))
+
+    def _infos(self) -> dict[str, Any]:
+        """The infos of `FrontDoorEnv` for every robot, in the format of vector environments."""
+        return {"house": self._robots.houses, "_house": np.ones(self.num_envs, bool)}
+
+
+def _leave_forks() -> None:
+    """End a process that was forked from one that uses JAX, where JAX hangs. Gymnasium's `async` forks on Linux."""
+    if os.getpid() != _IMPORTED_BY:
+        # An exception would not reach the user: Gymnasium tells of the processes' errors only once they have begun.
+        sys.exit(
+            "error: JAX hangs in forked processes; give make_vec vectorization_mode='vector_entry_point', which is "
+            "faster, or vector_kwargs={'context': 'spawn'}"
+        )
+
+
+def _to_numpy(observations: Observation, chosen: Any) -> dict[str, np.ndarray]:
+    """The chosen observations of a batch in Gymnasium's format; copies that the caller owns."""
+    pose = observations.pose
+    return {
+        "terrain": np.array(np.asarray(observations.terrain)[chosen]),
+        "pose": np.stack([np.asarray(part)[chosen] for part in (pose.x, pose.y, pose.heading)], axis=-1),
+    }
+
+
+_jit = functools.partial(jit, static_argnames="environment")
+
+
+@_jit
+def _start(
+    houses: Int[Array, "robots"], poses: Pose, params: Params, environment: FrontDoor
+) -> tuple[Observation, State]:
+    return jax.vmap(environment.start, in_axes=(0, 0, None))(houses, poses, params)
+
+
+@_jit
+def _reset(keys: Array, params: Params, environment: FrontDoor) -> tuple[Array, Observation, State]:
+    """Begin an episode of every robot; also return the keys for the next ones."""
+    keys, own_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+    return keys, *jax.vmap(environment.reset, in_axes=(0, None))(own_keys, params)
+
+
+@_jit
+def _step(
+    keys: Array, states: State, actions: Int[Array, "robots"], params: Params, environment: FrontDoor
+) -> tuple[Array, Observation, State, Float[Array, "robots"], dict[str, Any]]:
+    """Step every robot. Keys advance only where an episode ends."""
+
+    def step_one(key: Array, state: State, action: Array) -> tuple[Any, ...]:
+        next_key, own_key = jax.random.split(key)
+        observation, state, reward, terminated, truncated, info = environment.step(own_key, state, action, params)
+        return jnp.where(terminated | truncated, next_key, key), observation, state, reward, info
+
+    return jax.vmap(step_one)(keys, states, actions)
+
+
+def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
+    """An image of a belief in the colors of figures, with unobserved cells as unknown and the robot as a triangle.
+
+    Args:
+      terrain: observed class indices.
+      pose: column, row and heading.
+    """
+    scale = max(_FRAME_SIDE // max(terrain.shape), 4)
+    picture = Image.fromarray(np.repeat(np.repeat(FIGURE_RGB[terrain], scale, axis=0), scale, axis=1))
+    x, y, heading = pose
+    ahead = np.array(FORWARD[heading])
+    aside = np.array([-ahead[1], ahead[0]])
+    corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
+    middle = np.array([x + 0.5, y + 0.5]) * scale
+    triangle = middle + corners * max(0.45 * scale, _RENDERED_ROBOT_RADIUS)
+    ImageDraw.Draw(picture).polygon(triangle.ravel().tolist(), fill=RENDERED_ROBOT_COLOR, outline=(34, 34, 34))
+    return np.array(picture)
