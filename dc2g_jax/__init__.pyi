@@ -1,11 +1,8 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
 # Make, run, compare.
-from ._src.planning.named import make_planner as make_planner
-from ._src.planning.named import PLANNERS as PLANNERS
-from ._src.rollouts.evaluation import evaluate as evaluate
-from ._src.rollouts.evaluation import Results as Results
-from ._src.rollouts.evaluation import EpisodeResult as EpisodeResult
+from ._src.planning.named import make_planner as make_planner, PLANNERS as PLANNERS
+from ._src.rollouts.evaluation import evaluate as evaluate, Results as Results, EpisodeResult as EpisodeResult
 from ._src.training.train import train as train
 from ._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from ._src.training.cost_to_go_data import DataConfig as DataConfig
@@ -19,29 +16,21 @@ from ._src.rollouts.devices import use_cores as use_cores
 from ._src.estimation.hub import load_network as load_network
 
 # Write a planner or an estimator.
-from ._src.planning.planners import Planner as Planner
-from ._src.planning.planners import Plan as Plan
-from ._src.planning.planners import Frontier as Frontier
-from ._src.planning.planners import DC2G as DC2G
+from ._src.planning.planners import Planner as Planner, Plan as Plan, Frontier as Frontier, DC2G as DC2G
 from ._src.estimation.estimators import Estimator as Estimator
-from ._src.rollouts.checks import check_planner as check_planner
-from ._src.rollouts.checks import check_estimator as check_estimator
-from ._src.planning.rules import Rules as Rules
-from ._src.planning.rules import SETTINGS as SETTINGS
+from ._src.rollouts.checks import check_planner as check_planner, check_estimator as check_estimator
+from ._src.planning.rules import Rules as Rules, SETTINGS as SETTINGS
 
 # Houses and starts.
 from ._src.readers.houses import open_dataset as open_dataset
 from ._src.readers.maps import read_map as read_map
 from ._src.readers.starts import sample_starts as sample_starts
-from ._src.readers.houses import HouseDataset as HouseDataset
-from ._src.readers.houses import House as House
+from ._src.readers.houses import HouseDataset as HouseDataset, House as House
 from ._src.readers.starts import Start as Start
 
 # The gridworld.
 from ._src.grid.world import World as World
-from ._src.grid.gridworld import Belief as Belief
-from ._src.grid.gridworld import reset as reset
-from ._src.grid.gridworld import step as step
+from ._src.grid.gridworld import Belief as Belief, reset as reset, step as step
 from ._src.grid.poses import make_pose as make_pose
 from ._src.rollouts.rollout import rollout as rollout
 from ._src.errors import InputError as InputError

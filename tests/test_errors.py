@@ -46,3 +46,11 @@ def test_names():
     assert refusal(lambda: check_name("split", "vla", ("train", "val"))) == (
         "no split is called 'vla'; give one of train, val"
     )
+
+
+def test_of_many_names_those_most_alike_are_listed():
+    known = [f"house{number:03}" for number in range(100)]
+    message = refusal(lambda: check_name("house", "house1", known, "(--dataset says which)"))
+    assert message.startswith("no house is called 'house1'; give one of house0")
+    assert message.endswith(", ... (--dataset says which)")
+    assert "house000, house001, house002, ..." in refusal(lambda: check_name("house", "yard", known))

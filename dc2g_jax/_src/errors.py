@@ -1,6 +1,7 @@
 """The exception for invalid input (or a missing extra), values in its messages, and closed output pipes."""
 
 import contextlib
+import difflib
 import importlib.util
 import math
 import numbers
@@ -12,6 +13,9 @@ from typing import Any
 
 #: Longest message of an `InputError`, in characters. Of longer ones the middle is left out.
 LONGEST_MESSAGE = 400
+
+#: Most names that a message lists; of more, only those most like what was given.
+_MOST_NAMES = 40
 
 #: Characters that are kept of the end of a longer message, where the remedy is.
 _KEPT_END = 110
@@ -74,13 +78,10 @@ def check_number(
     Raises:
       InputError: the value is not a finite number within the bounds.
     """
-    valid = (
-        isinstance(value, numbers.Integral if whole else numbers.Real)
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-    )
-    if valid and max(least, above) <= value <= most and value != above:
-        return
+    of_kind = isinstance(value, numbers.Integral if whole else numbers.Real) and not isinstance(value, bool)
+    with contextlib.suppress(OverflowError):  # an integer of hundreds of digits
+        if of_kind and math.isfinite(value) and max(least, above) <= value <= most and value != above:
+            return
     kind = "a whole number" if whole else "a number"
     if least > -math.inf and most < math.inf:
         bounds = f" from {_written(least)} to {_written(most)}"
@@ -108,6 +109,8 @@ def check_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> No
       InputError: it is not.
     """
     if name not in (known := [*known]):
+        if len(known) > _MOST_NAMES:
+            known = [*(difflib.get_close_matches(str(name), known, cutoff=0.5) or known[:3]), "..."]
         raise InputError(f"no {kind} is called {short(name)}; give one of {', '.join(known)}{hint and ' '}{hint}")
 
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_name
 
 _OWN = re.compile(r"[^\W\d][\w.]*:[^\W\d]\w*")
 
@@ -27,9 +27,7 @@ def own_part(kind: str, name: str, known: Iterable[str]) -> Any:
       InputError: the name has another form, or cannot be imported.
     """
     if not is_own_part(name):
-        raise InputError(
-            f"no {kind} is called {name!r}; known: {', '.join(known)} (one of your own: package.module:Name)"
-        )
+        check_name(kind, name, known, "or one of your own, package.module:Name")
     module, _, attribute = name.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)

@@ -22,7 +22,6 @@ from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import UNKNOWN
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS
-from dc2g_jax._src.procedural import draw_neighborhood
 from dc2g_jax._src.procedural.suburbs import SUBURBS
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
@@ -30,6 +29,7 @@ from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import summarize
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
+from experiments.support.neighborhoods import draw_neighborhood
 
 from ..benchmarks.decisions import milliseconds
 from ..benchmarks.extents import CroppedEstimator, Window, WindowedEstimator

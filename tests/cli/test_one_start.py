@@ -171,7 +171,7 @@ def test_figure_8_of_a_house_that_is_named(streets, tmp_path):
         "--start", "give --house",
     )  # fmt: skip
     named = reproduce_fig8.Options(house="fat", dataset=str(streets), out=tmp_path / "out")
-    refusal(lambda: reproduce_fig8.main(named), "'fat'", "did you mean far")
+    refusal(lambda: reproduce_fig8.main(named), "'fat'", "far")
     assert not (tmp_path / "out").exists()
 
 

@@ -322,7 +322,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path, compact_netw
     refused(reproduce_fig7, "network.json", network=tmp_path)
     refused(reproduce_fig7, "step limit 0", step_limit=0)
     refused(head_to_head, "published houses")
-    refused(train, "known: quantile, l1", loss="l9")
+    refused(train, "give one of quantile, l1", loss="l9")
     refused(train, "--quantiles 0.5 0.9", "equally likely", "0.25 0.75", quantiles=(0.5, 0.9))
     refused(train, "another architecture", "--widths", after=str(compact_network))
     refused(sweep_losses, "'none'", losses=("l1=none",))

@@ -94,9 +94,8 @@ def test_panels_fill_the_room(panels, shape, columns):
     assert most_columns(panels, shape) == columns
 
 
-def test_a_gif_has_every_picture(shown, monkeypatch, tmp_path):
-    monkeypatch.setattr(animation, "_MOST_PICTURES", 8)
-    path = animate(tmp_path / "new" / "toy.gif", toy.HOUSE, toy.replayed(), frames_per_second=10)
+def test_a_gif_has_every_picture(shown, tmp_path):
+    path = animate(tmp_path / "new" / "toy.gif", toy.HOUSE, toy.replayed(), frames_per_second=10, most_pictures=8)
     with Image.open(path) as image:
         assert image.n_frames == 9
         durations = []
@@ -112,10 +111,9 @@ def test_a_gif_has_every_picture(shown, monkeypatch, tmp_path):
     assert path.stat().st_size < 9 * shown[0][..., 0].size / 6
 
 
-def test_an_mp4_has_every_picture_and_holds_the_last(shown, monkeypatch, tmp_path):
-    monkeypatch.setattr(animation, "_MOST_PICTURES", 3)
+def test_an_mp4_has_every_picture_and_holds_the_last(shown, tmp_path):
     steps = [0, 8, 16, _LAST]
-    path = animate(tmp_path / "toy.MP4", toy.HOUSE, toy.replayed(), frames_per_second=2)
+    path = animate(tmp_path / "toy.MP4", toy.HOUSE, toy.replayed(), frames_per_second=2, most_pictures=3)
     found, frames_per_second = _video(path)
     assert frames_per_second == pytest.approx(2)
     assert len(found) == len(steps) + 5
@@ -145,7 +143,7 @@ def test_where_nothing_is_predicted_the_panel_says_so(monkeypatch):
     ]
 
 
-def test_long_episodes_skip_steps_but_not_the_last(monkeypatch, tmp_path):
+def test_long_episodes_skip_steps_but_not_the_last(tmp_path):
     painted = []
 
     def paint(numbers):
@@ -153,8 +151,7 @@ def test_long_episodes_skip_steps_but_not_the_last(monkeypatch, tmp_path):
         return pictures(toy.HOUSE, toy.replayed(), numbers)
 
     write_animation(tmp_path / "all.gif", paint, _LAST + 1, (), 12)
-    monkeypatch.setattr(animation, "_MOST_PICTURES", 5)
-    write_animation(tmp_path / "some.gif", paint, _LAST + 1, (), 12)
+    write_animation(tmp_path / "some.gif", paint, _LAST + 1, (), 12, most_pictures=5)
     assert list(range(_LAST + 1)) in painted
     assert [0, 5, 10, 15, 20, 24] in painted
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.grid import loops
 from dc2g_jax._src.grid.loops import for_each_until, repeated, until
 
 
@@ -27,8 +26,7 @@ def test_a_loop_of_known_length_counts_its_rounds():
     assert run(jnp.int32(9)) == 901234
 
 
-def test_members_that_go_on_are_gathered_into_smaller_batches(monkeypatch):
-    monkeypatch.setattr(loops, "_FEWEST_LEFT", 64)
+def test_members_that_go_on_are_gathered_into_smaller_batches():
     wanted = np.random.default_rng(0).geometric(0.6, size=5000)
     wanted[[0, -1]] = 40
     taken = collections.Counter()
@@ -47,6 +45,7 @@ def test_members_that_go_on_are_gathered_into_smaller_batches(monkeypatch):
             (jnp.zeros_like(wanted), jnp.ones(len(wanted), bool)),
             wanted,
             most=50,
+            fewest_left=64,
         )
 
     counted, negative = jax.jit(run)(jnp.asarray(wanted))

@@ -10,7 +10,8 @@ from hypothesis import given, settings, strategies as st
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from dc2g_jax._src.grid import bitboard, loops, poses, search
+from dc2g_jax._src.grid import bitboard, poses, search
+from dc2g_jax._src.grid.loops import for_each_until
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from tests.oracles import numpy_gridworld as oracle
@@ -71,7 +72,8 @@ def test_programs_for_accelerators_give_the_same(monkeypatch):
         )()
 
     on_a_cpu = answers()
-    monkeypatch.setattr(loops, "_FEWEST_LEFT", 1)
+    for module in (bitboard, search):
+        monkeypatch.setattr(module, "for_each_until", functools.partial(for_each_until, fewest_left=1))
     monkeypatch.setattr(jax.lax, "platform_dependent", lambda *operands, cpu, default: default(*operands))
     jax.tree.map(np.testing.assert_array_equal, answers(), on_a_cpu)
 

@@ -175,5 +175,5 @@ def test_kernels_are_equal_values():
     ("make", "radius"), [(sensing.field_of_view, 0), (sensing.field_of_view, -1), (sensing.expanding_kernel, 1)]
 )
 def test_a_range_of_nothing_is_refused(make, radius):
-    with pytest.raises(ValueError, match=rf"range {radius} "):
+    with pytest.raises(ValueError, match=rf"range {radius}: give a whole number of at least"):
         make(radius)

@@ -283,7 +283,7 @@ def test_egocentric_observations():
     ("options", "mentions"),
     [
         ({"color": 3}, ["'color'", "give one of house, x, y, heading"]),
-        ({"house": "yrad"}, ["yrad", "did you mean yard"]),
+        ({"house": "yrad"}, ["yrad", "yard"]),
         ({"house": "lane"}, ["lane", "'val'", "split='val'"]),
         ({"house": "walled"}, ["house walled: ", "no ground that leads to a goal"]),
         ({"x": 3, "y": 1}, ["house yard: column 3, row 1 is a goal already", "nearest cell to start from"]),

@@ -54,7 +54,7 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     for name, value in (("learning_rate", float("nan")), ("learning_rate", 0.0), ("steps", 0), ("batch_size", 0)):
         number = f"{name.replace('_', ' ')} {value}"
         refusal(lambda: main(dataclasses.replace(options, **{name: value})), number, "give")  # noqa: B023
-    refusal(lambda: main(dataclasses.replace(options, loss="cross")), "no loss is called 'cross'", "known: paper")
+    refusal(lambda: main(dataclasses.replace(options, loss="cross")), "no loss is called 'cross'", "give one of paper")
     collection = dataclasses.replace(options.collection, data_seed=2**64)
     refusal(lambda: main(dataclasses.replace(options, collection=collection)), "--data-seed", "give")
     assert not options.out.exists()

@@ -94,7 +94,7 @@ def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("", "true_cost_to_go"), ("Oracle", "known: oracle"), ("dc2g", "needs an estimator")]
+    ("name", "words"), [("", "true_cost_to_go"), ("Oracle", "give one of oracle"), ("dc2g", "needs an estimator")]
 )
 def test_planners_that_cannot_be_made(name, words):
     with pytest.raises(ValueError, match=words) as caught:

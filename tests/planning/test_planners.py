@@ -441,7 +441,7 @@ NARROW = Settings("narrow", 3, None, lambda sensing_range, _: complete_rules(sen
 def test_settings_of_the_users_own_go_by_their_name():
     assert named_settings(f"{__name__}:NARROW") is NARROW
     assert named_settings("paper") is SETTINGS["paper"]
-    refusal(lambda: named_settings("wide"), "'wide'", "known: published, reference, paper, occluded", ":Name")
+    refusal(lambda: named_settings("wide"), "'wide'", "give one of published, reference, paper, occluded", ":Name")
     refusal(lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax.planning.Settings")
 
 

@@ -18,10 +18,9 @@ from pathlib import Path
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.readers import _download as download
 from dc2g_jax._src.readers._download import (
-    BASE_URL,
     FOLDER_NAME,
+    URLS,
     NetworkUnavailable,
     fetch_dataset,
     matches_published,
@@ -141,7 +140,7 @@ def server(source: Path, monkeypatch):
 def fetch(tmp_path: Path, server: Server, manifest: Path):
     def call(cache: Path | None = None, **options) -> Path:
         place = tmp_path / "cache" if cache is None else cache
-        return fetch_dataset(place, **{"base_url": server.url, "manifest": manifest, "progress": False} | options)
+        return fetch_dataset(place, **{"urls": (server.url,), "manifest": manifest, "progress": False} | options)
 
     return call
 
@@ -192,22 +191,21 @@ def test_trouble_that_passes_is_tried_again(fetch, source, server):
 
 def test_download_goes_to_the_cache_of_the_environment(server, manifest, source, tmp_path, monkeypatch):
     monkeypatch.setenv("DC2G_CACHE", str(tmp_path / "chosen"))
-    folder = fetch_dataset(base_url=server.url, manifest=manifest, progress=False)
+    folder = fetch_dataset(urls=(server.url,), manifest=manifest, progress=False)
     assert folder == tmp_path / "chosen" / FOLDER_NAME
     assert contents(folder) == contents(source)
 
 
-def test_the_next_address_is_asked_where_the_first_lacks_the_file(server, manifest, source, tmp_path, monkeypatch):
-    monkeypatch.setattr(download, "BASE_URL", server.url + "moved/")
-    monkeypatch.setattr(download, "OTHER_URLS", (server.url,))
-    folder = fetch_dataset(tmp_path / "cache", manifest=manifest, progress=False)
+def test_the_next_address_is_asked_where_the_first_lacks_the_file(server, manifest, source, tmp_path):
+    urls = (server.url + "moved/", server.url)
+    folder = fetch_dataset(tmp_path / "cache", urls=urls, manifest=manifest, progress=False)
     assert contents(folder) == contents(source)
 
 
 @needs_shared
 def test_the_published_dataset_through_the_shipped_manifest(tmp_path, server):
     server.folder = PUBLISHED
-    folder = fetch_dataset(tmp_path / "cache", base_url=server.url, progress=False)
+    folder = fetch_dataset(tmp_path / "cache", urls=(server.url,), progress=False)
     assert matches_published(folder)
     assert len(contents(folder)) == 81
     for name, data in contents(folder).items():
@@ -220,7 +218,7 @@ def test_shipped_manifest_lists_every_house_list_palette_and_image():
     entries = read_manifest()
     assert len(entries) == 77 + 3 + 1
     assert sum(name.startswith("full_semantic/") and name.endswith(".png") for name in entries) == 77
-    assert BASE_URL.endswith("/6f739e1/data/datasets/driveways_bing_iros19/")
+    assert URLS[0].endswith("/6f739e1/data/datasets/driveways_bing_iros19/")
 
 
 # --- interruption and company ---------------------------------------------------------------------------
@@ -239,7 +237,7 @@ def test_a_server_that_dies_midway_leaves_whole_files_and_the_rest_is_fetched_la
 
 def test_a_complete_cache_needs_no_network(fetch, server, source, tmp_path):
     shutil.copytree(source, tmp_path / "cache" / FOLDER_NAME)
-    assert contents(fetch(base_url="http://127.0.0.1:9/")) == contents(source)
+    assert contents(fetch(urls=("http://127.0.0.1:9/",))) == contents(source)
     assert server.requests.total() == 0
 
 
@@ -281,7 +279,7 @@ def test_interrupt_ends_the_download_at_once_and_leaves_whole_files(server, mani
         # Where the tests run in the background, processes start with interrupts ignored.
         "import pathlib, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         "from dc2g_jax._src.readers._download import fetch_dataset;"
-        f"fetch_dataset({str(tmp_path / 'cache')!r}, base_url={server.url!r}, "
+        f"fetch_dataset({str(tmp_path / 'cache')!r}, urls=({server.url!r},), "
         f"manifest=pathlib.Path({str(manifest)!r}))"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
@@ -351,25 +349,23 @@ def test_no_network_is_found_out_fast_and_nothing_is_written(fetch, tmp_path):
         unused.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{unused.getsockname()[1]}/"
         started = time.monotonic()
-        refusal_of(NetworkUnavailable, lambda: fetch(base_url=url), "127.0.0.1", "refused")
-    refusal_of(NetworkUnavailable, lambda: fetch(base_url="http://no-such-host.invalid/"), "no-such-host.invalid")
+        refusal_of(NetworkUnavailable, lambda: fetch(urls=(url,)), "127.0.0.1", "refused")
+    refusal_of(NetworkUnavailable, lambda: fetch(urls=("http://no-such-host.invalid/",)), "no-such-host.invalid")
     assert time.monotonic() - started < 5
     assert not (tmp_path / "cache").exists()
 
 
-def test_a_network_that_swallows_everything_is_found_out_in_time(fetch, server, tmp_path, monkeypatch):
-    monkeypatch.setattr(download, "PROBE_SECONDS", 0.3)
+def test_a_network_that_swallows_everything_is_found_out_in_time(fetch, server, tmp_path):
     server.greetings = ["stall"]
     started = time.monotonic()
-    refusal_of(NetworkUnavailable, fetch, "127.0.0.1", "no answer within 0.3 s")
+    refusal_of(NetworkUnavailable, lambda: fetch(probe_seconds=0.3), "127.0.0.1", "no answer within 0.3 s")
     assert time.monotonic() - started < 2
     assert not (tmp_path / "cache").exists()
 
 
-def test_a_read_that_takes_too_long_is_tried_again(fetch, server, source, monkeypatch):
-    monkeypatch.setattr(download, "TIMEOUT_SECONDS", 0.3)
+def test_a_read_that_takes_too_long_is_tried_again(fetch, server, source):
     server.script = {"full/train/a 11.png": ["stall"]}
-    assert contents(fetch()) == contents(source)
+    assert contents(fetch(timeout_seconds=0.3)) == contents(source)
     assert server.requests["full/train/a 11.png"] == 2
 
 

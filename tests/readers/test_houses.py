@@ -216,7 +216,7 @@ def test_groups(name, split, group):
 def test_close_names_are_offered(folder):
     dataset = load_dataset(folder)
     refusal(lambda: dataset.house("n000m000h01"), "mine", "'n000m000h01'", "n000m000h001")
-    refusal(lambda: dataset.house("zzz"), "mine", "'zzz'", "its houses are", "--dataset")
+    refusal(lambda: dataset.house("zzz"), "mine", "'zzz'", "give one of", "--dataset")
     refusal(lambda: dataset.split("training"), "mine", "'training'", "train, val, test")
 
 
@@ -336,8 +336,8 @@ def test_a_class_the_package_does_not_know_is_refused_where_it_is_drawn(folder):
         ("class,r,g\nroad,1,2\n", ["lacks the column 'b'", "class,r,g,b"]),
         ("road,1,2,3\n", ["'class'", "class,r,g,b"]),
         ("class,r,g,b\nroad,1,x,3\n", ["line 2", "'x'", "'g'", "'road'", "0 to 255"]),
-        ("class,r,g,b\nroad,1,-2,3\n", ["line 2", "'-2'", "0 to 255"]),
-        ("class,r,g,b\nroad,1,2,256\n", ["line 2", "'256'", "0 to 255"]),
+        ("class,r,g,b\nroad,1,-2,3\n", ["line 2", "-2:", "0 to 255"]),
+        ("class,r,g,b\nroad,1,2,256\n", ["line 2", "256:", "0 to 255"]),
         ("class,r,g,b\nroad,1,2.0,3\n", ["line 2", "'2.0'", "0 to 255"]),
         ("class,r,g,b\nroad,1,,3\n", ["line 2", "'g'", "fill it in"]),
         ("class,r,g,b\nroad,1\n", ["line 2", "'g'", "fill it in"]),
@@ -395,10 +395,10 @@ def test_paths_that_are_no_dataset(folder, tmp_path):
     refusal(
         lambda: load_dataset(tmp_path / "nowhere"),
         tmp_path / "nowhere",
-        "no such folder",
+        "is no folder",
         "labels_colors.csv",
     )
-    refusal(lambda: load_dataset(folder / "labels_colors.csv"), "is a file", "give a folder")
+    refusal(lambda: load_dataset(folder / "labels_colors.csv"), "is no folder", "give a folder")
     (tmp_path / "empty").mkdir()
     refusal(lambda: load_dataset(tmp_path / "empty"), tmp_path / "empty", "empty", "labels_colors.csv")
     (tmp_path / "empty" / "notes.txt").write_text("x")

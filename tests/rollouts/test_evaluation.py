@@ -121,7 +121,7 @@ def test_planners_of_ones_own_are_run_beside_the_others(dataset):
     results = runner.run(STARTS, {"mine": Frontier, "frontier": "frontier"})
     assert [result._replace(planner="frontier") for result in results[: len(STARTS)]] == results[len(STARTS) :]
     assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
-    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*package\.module:Name"):
+    with pytest.raises(ValueError, match=r"no planner is called 'mine'; give one of oracle, .*package\.module:Name"):
         runner.run(STARTS, ["mine"])
     with pytest.raises(ValueError, match="planner oracle: "):
         runner.run(STARTS, {"oracle": Frontier})
@@ -201,7 +201,7 @@ def test_a_planner_made_for_another_field_of_view_is_refused(dataset):
 
 
 def test_evaluate_refuses_before_anything_runs(dataset):
-    refusal(lambda: evaluate(["fronteir"], dataset), "fronteir", "known: oracle")
+    refusal(lambda: evaluate(["fronteir"], dataset), "fronteir", "give one of oracle")
     refusal(lambda: evaluate(["frontier"], dataset, settings="papers"), "papers", "published")
     refusal(lambda: evaluate(["frontier"], dataset, sensing_range=0), "sensing range 0")
     for unnamed in (Frontier, [Frontier], make_planner("frontier")):

@@ -97,5 +97,5 @@ def test_a_loss_of_the_users_own_goes_by_its_name():
 def test_an_unknown_loss_lists_the_known_ones():
     for name in LOSSES:
         assert parse_losses(name) == ((name, 1.0),)
-    with pytest.raises(InputError, match=r"no loss is called 'l3'; known: quantile, l1, l2, huber, log"):
+    with pytest.raises(InputError, match=r"no loss is called 'l3'; give one of quantile, l1, l2, huber, log"):
         parse_losses("l1,l3")

@@ -62,8 +62,8 @@ def test_losses_from_text():
 @pytest.mark.parametrize(
     ("text", "mention"),
     [
-        ("l7", "known: quantile, l1"),
-        ("", "known: quantile"),
+        ("l7", "give one of quantile, l1"),
+        ("", "give one of quantile"),
         ("l1=zero", "'zero'; give a number above 0"),
         ("l1=-1", "above 0"),
         ("l1=", "above 0"),

@@ -18,7 +18,7 @@ from jax.experimental import multihost_utils
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
-from dc2g_jax._src.errors import InputError, drop_output, reader_may_leave
+from dc2g_jax._src.errors import InputError, check_number, drop_output, reader_may_leave
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.cache import keep_compiled_programs
@@ -123,7 +123,6 @@ def _full_disk(error: BaseException | None) -> str:
 
 
 def _less_memory(parsed: CommandOptions) -> str:
-    """Advice on how to use less memory."""
     options = [f"--{name.replace('_', '-')}" for name in ("runs_at_once", "batch_size") if hasattr(parsed, name)]
     return f"lower {' or '.join(options)}" if options else "end other programs that use it, or take smaller maps"
 
@@ -146,8 +145,7 @@ def check_seed(seed: int, option: str = "seed") -> None:
     Raises:
       InputError: it is negative or has more than 32 bits.
     """
-    if not 0 <= seed < 2**32:
-        raise InputError(f"--{option} {seed}: give a number from 0 to {2**32 - 1}")
+    check_number(f"--{option}", seed, whole=True, least=0, most=2**32 - 1)
 
 
 def check_planners(planners: Sequence[str]) -> None:
@@ -167,11 +165,6 @@ def network_for(planners: Iterable[str], place: str | Path | None) -> Estimator 
 
 
 def digests(dataset: HouseDataset | None = None, **inputs: Any) -> dict[str, str]:
-    """SHA-256 of the inputs of a run, by option; `None` is left out. They must be the same when a run is resumed.
-
-    Args:
-      dataset: the houses of option `dataset`.
-      inputs: trees of arrays, such as networks.
-    """
+    """SHA-256 of the dataset and of trees of arrays, such as networks, by option. `None` is left out."""
     houses = {} if dataset is None else {"dataset": dataset.sha256}
     return houses | {name: tree_sha256(tree) for name, tree in inputs.items() if tree is not None}

@@ -41,11 +41,7 @@ class MapOptions(CommandOptions):
 
 
 def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
-    """The map's class indices. Its goals may be unreachable.
-
-    Raises:
-      InputError: the map, the palette or a goal is invalid.
-    """
+    """The map's class indices. Its goals may be unreachable."""
     palette = None if options.palette is None else read_palette(options.palette)
     goals = [Goal(x, y, options.goal_unit) for x, y in options.goals]
     return draw_map(options.map, palette=palette, goals=goals, cells=options.cells)

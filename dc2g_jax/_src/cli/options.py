@@ -8,7 +8,7 @@ import tyro
 
 from dc2g_jax._src.cli.common import DatasetOption, NetworkOption
 from dc2g_jax._src.cli.outputs import CommandOptions, Machines
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.tracking import TrackerName
 
@@ -115,5 +115,5 @@ def require_positive(options: object, *names: str) -> None:
     """
     for name in names:
         value = getattr(options, name)
-        if value is not None and value < 1:
-            raise InputError(f"--{name.replace('_', '-')} {value}: give 1 or more")
+        if value is not None:
+            check_number(f"--{name.replace('_', '-')}", value, whole=True, least=1)

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import jax
 import tyro
@@ -66,21 +66,8 @@ def number_or_null(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-class _OutputOptions(Protocol):
-    """Options, as a dataclass, of a command that writes to a folder. With a field `resume`, runs can be resumed."""
-
-    @property
-    def out(self) -> Path | None:
-        """The folder; a new one under outputs/ if `None`."""
-        ...
-
-
 def output_folder(
-    options: _OutputOptions,
-    command: str,
-    *,
-    free: Collection[str] = (),
-    inputs: Mapping[str, str] | None = None,
+    options: Any, command: str, *, free: Collection[str] = (), inputs: Mapping[str, str] | None = None
 ) -> Path:
     """Make or reopen the output folder, with a `run.json` of the command, all options, versions, commit and time.
 
@@ -88,7 +75,8 @@ def output_folder(
     case, `run.json` lists each resumption.
 
     Args:
-      options: options of the command.
+      options: options of the command. `out` is the folder; if it is `None`, a new one under outputs/. With a field
+        `resume`, runs can be resumed.
       command: name of the command.
       free: further options that may change when a run is resumed.
       inputs: option name -> SHA-256 of its data. They must be the same when a run is resumed.
@@ -103,36 +91,27 @@ def output_folder(
             raise InputError("--resume: which run? give the --out folder that it writes to")
         folder = Path("outputs") / f"{command}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
     given = _plain_options(options)
-    runs: list[dict[str, Any]] = []
-    if resume:
-        before = _read_run(folder)
-        alone = _hold(folder)
-        _require_same(folder, before, command, given, {*WHERE, *free})
-        _require_same_inputs(folder, before["inputs"], inputs or {})
-        runs = before["runs"]
-    else:
-        _make_new(folder, resumable=hasattr(options, "resume"))
-        alone = _hold(folder)
-    if alone:
-        clear_unfinished(folder)
-    # Where houses are read from, if no option says it.
-    location = os.environ.get("DC2G_DATA") if getattr(options, "dataset", "") is None else None
-    facts = {
-        "experiment": command,
-        "options": given,
-        "inputs": dict(inputs or {}),
-        "runs": [
-            *runs,
-            {
-                "command": command_written(),
-                "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-                "commit": commit(),
-                "versions": versions(),
-                **({"DC2G_DATA": location} if location else {}),
-            },
-        ],
+    run = {
+        "command": command_written(),
+        "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "commit": commit(),
+        "versions": versions(),
     }
+    if getattr(options, "dataset", "") is None and (location := os.environ.get("DC2G_DATA")):
+        run["DC2G_DATA"] = location  # where houses are read from, if no option says it
+    facts = {"experiment": command, "options": given, "inputs": dict(inputs or {}), "runs": [run]}
     try:
+        if resume:
+            before = _read_run(folder)
+            alone = _hold(folder)
+            _require_same(folder, before, command, given, {*WHERE, *free})
+            _require_same_inputs(folder, before["inputs"], inputs or {})
+            facts["runs"] = [*before["runs"], run]
+        else:
+            _make_new(folder, resumable=hasattr(options, "resume"))
+            alone = _hold(folder)
+        if alone:
+            clear_unfinished(folder)
         write_json(folder / RUN_FILE, facts)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
@@ -141,13 +120,10 @@ def output_folder(
 
 def _make_new(folder: Path, *, resumable: bool) -> None:
     """Make a folder, which must not exist or be empty. A run may have been killed before it wrote its first file."""
-    try:
-        if folder.exists() and not (folder.is_dir() and all(map(is_unfinished, folder.iterdir()))):
-            remedy = "; to go on with the run in it, add --resume" if resumable and (folder / RUN_FILE).exists() else ""
-            raise InputError(f"{folder}: is not an empty folder; give --out a new folder{remedy}")
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+    if folder.exists() and not (folder.is_dir() and all(map(is_unfinished, folder.iterdir()))):
+        remedy = "; to go on with the run in it, add --resume" if resumable and (folder / RUN_FILE).exists() else ""
+        raise InputError(f"{folder}: is not an empty folder; give --out a new folder{remedy}")
+    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _hold(folder: Path) -> bool:
@@ -155,27 +131,21 @@ def _hold(folder: Path) -> bool:
     folder = folder.resolve()
     if folder in _held:
         return _held[folder] is not None
-    _held[folder] = None
-    if sys.platform == "win32":
-        return False
-    try:
+    held = None
+    if sys.platform != "win32":
         held = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        del _held[folder]
-        raise InputError(f"{folder}: cannot be read ({error.strerror}); give --out another folder") from None
-    try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(held)
-        del _held[folder]
-        raise InputError(
-            f"{folder}: another process is writing to it; wait for its end, or give --out another folder"
-        ) from None
-    except OSError:  # a file system without locks
-        os.close(held)
-        return False
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(held)
+            raise InputError(
+                f"{folder}: another process is writing to it; wait for its end, or give --out another folder"
+            ) from None
+        except OSError:  # a file system without locks
+            os.close(held)
+            held = None
     _held[folder] = held
-    return True
+    return held is not None
 
 
 def folder_in_use() -> Path | None:
@@ -192,7 +162,6 @@ def _plain_options(options: Any) -> dict[str, Any]:
 
 
 def _read_run(folder: Path) -> dict[str, Any]:
-    """The contents of a folder's `run.json`."""
     path = folder / RUN_FILE
     remedy = "the run cannot be resumed; begin anew in another --out folder"
     if not path.exists():
@@ -207,7 +176,6 @@ def _read_run(folder: Path) -> dict[str, Any]:
 def _require_same(
     folder: Path, before: dict[str, Any], command: str, given: dict[str, Any], free: Collection[str]
 ) -> None:
-    """Check that a run is resumed with the same options."""
     if before.get("experiment") != command:
         raise InputError(
             f"{folder}: holds a run of {short(before.get('experiment'))}, not of {command}; give --out another folder"
@@ -223,7 +191,6 @@ def _require_same(
 
 
 def _require_same_inputs(folder: Path, before: Mapping[str, Any], now: Mapping[str, str]) -> None:
-    """Check that a run is resumed with the same data."""
     for name, digest in now.items():
         if before.get(name) != digest:
             told = " (or for DC2G_DATA)" if name == "dataset" else ""

@@ -267,5 +267,4 @@ def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class s
 
 
 def _world(params: Params, house: Int[Array, "*batch"]) -> World:
-    """One house of the stack."""
     return jax.tree.map(lambda leaf: leaf.at[..., house].get(mode="promise_in_bounds"), params.worlds)

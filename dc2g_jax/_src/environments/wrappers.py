@@ -29,24 +29,11 @@ class FlattenObservation:
     radius: int = 8
     six_values: bool = False
 
-    @property
-    def name(self) -> str:
-        """The name of the environment."""
-        return self.environment.name
-
-    @property
-    def num_actions(self) -> int:
-        """The number of actions."""
-        return self.environment.num_actions
-
-    @property
-    def default_params(self) -> Params | None:
-        """The parameters that `reset` and `step` use if none are given."""
-        return self.environment.default_params
-
-    def action_space(self, params: Params | None = None) -> spaces.Discrete:
-        """The actions, which are the same for all parameters."""
-        return self.environment.action_space(params)
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the environment's: `name`, `num_actions`, `default_params`, `action_space`."""
+        if name.startswith("__"):  # not while a copy is made
+            raise AttributeError(name)
+        return getattr(self.environment, name)
 
     def observation_space(self, params: Params | None = None) -> spaces.Box:
         """The flat observations, which have the same shape for all parameters."""

@@ -100,15 +100,9 @@ def most_columns(panels: int, shape: tuple[int, ...]) -> int:
 def empty_sheet(
     shape: tuple[int, ...], rows: int, columns: int, entries: Sequence[Any], titles: Sequence[str], dpi: int = DPI
 ) -> Sheet:
-    """An empty sheet with its legend. Titles that would touch their neighbors are broken after the colon.
+    """An empty sheet of panels for maps of a shape, with its legend.
 
-    Args:
-      shape: rows and columns of the map in the panels.
-      rows: rows of panels.
-      columns: columns of panels.
-      entries: entries of the legend.
-      titles: titles of all panels.
-      dpi: pixels per inch of the figure as it is written.
+    Titles that would touch their neighbors are broken after the colon. `dpi` is that of the figure as it is written.
     """
     height, width = shape
     room = (PAGE_WIDTH - _LEFT - columns * _GAP) / columns

@@ -13,6 +13,7 @@ from jaxtyping import Int, UInt8
 from PIL import Image
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.class_images import color_codes
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -20,29 +21,19 @@ Picture = UInt8[np.ndarray, "height width 3"]
 _MOST_COLORS = 255
 
 
-def _codes(picture: Picture) -> Int[np.ndarray, "height width"]:
-    """The color of each pixel as one integer."""
-    return picture.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
-
-
 def _rgb(codes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n 3"]:
     return codes[:, None] >> np.array([16, 8, 0]) & 255
 
 
 def frequent_colors(shown: Iterable[Picture], always: Sequence[str]) -> Int[np.ndarray, "n"]:
-    """The most frequent colors of pictures, at most as many as a GIF can have.
+    """The most frequent colors of pictures, as sorted integers, at most as many as a GIF can have.
 
-    Args:
-      shown: the pictures.
-      always: colors, as `#rrggbb`, that are included even if they are rare.
-
-    Returns:
-      The colors as sorted integers.
+    The colors `always`, as `#rrggbb`, are included even if they are rare.
     """
     counts: collections.Counter[int] = collections.Counter()
     marks = [int(color[1:], 16) for color in always]
     for picture in shown:
-        found, often = np.unique(_codes(picture), return_counts=True)
+        found, often = np.unique(color_codes(picture), return_counts=True)
         counts.update(dict(zip(found.tolist(), often.tolist(), strict=True)))
     frequent = [code for code, _ in counts.most_common() if code not in marks]
     return np.array(sorted(marks + frequent[: _MOST_COLORS - len(marks)]), np.int32)
@@ -51,16 +42,13 @@ def frequent_colors(shown: Iterable[Picture], always: Sequence[str]) -> Int[np.n
 def write_gif(path: Path, shown: Iterator[Picture], colors: Int[np.ndarray, "n"], durations: Sequence[float]) -> None:
     """Write a GIF that repeats. All pictures share one color table, and only changes are stored.
 
-    Args:
-      path: file to write.
-      shown: the pictures.
-      colors: the color table, from `frequent_colors`; other colors are replaced by the nearest of them.
-      durations: duration of each picture, seconds.
+    Colors outside the table, which `frequent_colors` makes, are replaced by the nearest in it. Durations are in
+    seconds.
     """
     table = _rgb(np.pad(colors, (0, _MOST_COLORS + 1 - len(colors)))).astype(np.uint8).tobytes()
 
     def indexed(picture: Picture) -> Image.Image:
-        codes = _codes(picture)
+        codes = color_codes(picture)
         index = np.minimum(np.searchsorted(colors, codes), len(colors) - 1)
         others = colors[index] != codes
         found, inverse = np.unique(codes[others], return_inverse=True)
@@ -91,17 +79,10 @@ def h264_encoder() -> str | None:
 
 
 def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last_seconds: float, program: str) -> None:
-    """Write an MP4 in H.264, which office programs and browsers open.
-
-    Args:
-      path: file to write.
-      shown: the pictures, of even width and height.
-      frames_per_second: pictures per second.
-      last_seconds: duration of the last picture, seconds.
-      program: the encoder, see `h264_encoder`.
+    """Write an MP4 in H.264, which office programs and browsers open, of pictures of even width and height.
 
     Raises:
-      InputError: the encoder cannot write to the path.
+      InputError: the encoder `program`, see `h264_encoder`, cannot write to the path.
     """
     first = next(shown)
     height, width, _ = first.shape

@@ -31,9 +31,6 @@ from dc2g_jax._src.readers.houses import House, tell_on_stderr
 #: Pixels per inch.
 _DPI = 120
 
-#: Largest number of pictures of an episode; of a longer one only every second, third ... step is shown.
-_MOST_PICTURES = 250
-
 #: Pictures from which the colors of a GIF are chosen.
 _SAMPLE = 12
 
@@ -50,14 +47,10 @@ def _doing(frames: Frames, frame: int, extra: float) -> str:
 
 
 def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Iterable[int]) -> Iterator[Picture]:
-    """Pictures of planners from one start: RGB, of equal size, with an even width and height.
+    """Pictures of planners from one start at some steps: RGB, of equal size, with an even width and height.
 
-    Each planner has a panel with its map, and another with its predicted cost-to-go if it predicts one.
-
-    Args:
-      house: the house.
-      frames_by_planner: planner name -> its replayed episode, all from one start.
-      steps: steps to show; planners that have arrived wait.
+    Each planner has a panel with its map, and another with its predicted cost-to-go if it predicts one. Planners that
+    have arrived wait.
     """
     shown = [
         (planner, frames, cost)
@@ -103,15 +96,17 @@ def write_animation(
     count: int,
     colors: Sequence[str],
     frames_per_second: int,
+    most_pictures: int = 250,
 ) -> Path:
     """Write an animation. Where the encoder of MP4 is missing, a GIF takes its place, with a line on the error stream.
 
     Args:
       path: file to write; its ending gives the format, `.gif` or `.mp4`.
-      paint: paints the pictures of these numbers. Of many, every second, third ... is shown, and always the last.
+      paint: paints the pictures of these numbers.
       count: number of pictures.
       colors: colors, as `#rrggbb`, that a GIF surely has.
       frames_per_second: pictures per second; the last one stays longer.
+      most_pictures: of more pictures, only every second, third ... is shown, and always the last.
 
     Returns:
       The path of the file.
@@ -126,7 +121,7 @@ def write_animation(
     if path.suffix.lower() == ".mp4" and program is None:
         path = path.with_suffix(".gif")
         tell_on_stderr(f'{path}: is no MP4, as there is no encoder for it; run: pip install "dc2g_jax[all]"')
-    shown = [*range(0, count - 1, -(-max(count - 1, 1) // _MOST_PICTURES)), count - 1]
+    shown = [*range(0, count - 1, -(-max(count - 1, 1) // most_pictures)), count - 1]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if program is None:
@@ -141,22 +136,16 @@ def write_animation(
 
 
 def animate(
-    path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], *, frames_per_second: int = 12
+    path: str | Path,
+    house: House,
+    frames_by_planner: Mapping[str, Frames],
+    *,
+    frames_per_second: int = 12,
+    most_pictures: int = 250,
 ) -> Path:
-    """Write an animation of planners from one start, side by side, see `pictures`.
-
-    Args:
-      path: file to write, see `write_animation`.
-      house: the house.
-      frames_by_planner: planner name -> its replayed episode, all from one start.
-      frames_per_second: pictures per second.
-
-    Returns:
-      The path of the file.
-
-    Raises:
-      InputError: see `write_animation`.
-    """
+    """Write an animation of planners from one start, side by side; see `pictures` and `write_animation`."""
     paint = functools.partial(pictures, house, frames_by_planner)
     count = max(len(frames) for frames in frames_by_planner.values())
-    return write_animation(path, paint, count, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR), frames_per_second)
+    return write_animation(
+        path, paint, count, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR), frames_per_second, most_pictures
+    )

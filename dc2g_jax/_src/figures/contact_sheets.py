@@ -59,13 +59,9 @@ def _draw_house(axes: Axes, house: House) -> None:
 
 
 def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[Row]) -> None:
-    """Draw a page of houses of any sizes. A star marks a door; text below a map says why no episode can be run in it.
+    """Draw one of `contact_pages`, with houses of any sizes, and write it as PNG, SVG and PDF.
 
-    Args:
-      path: output path without ending; PNG, SVG and PDF are written.
-      title: description of the houses.
-      number: description of the page, such as its number.
-      rows: one page of `contact_pages`.
+    A star marks a door; text below a map says why no episode can be run in it.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 1.12 * len(rows) + 0.7), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02)  # type: ignore[union-attr, call-arg]

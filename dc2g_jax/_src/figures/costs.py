@@ -35,13 +35,7 @@ def end_of_colors(costs: Sequence[Float[np.ndarray, "..."]]) -> float:
 
 
 def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: Float[np.ndarray, "h w"]) -> float:
-    """The cost at the end of the colors, in cells: nearly all costs of observed cells are lower.
-
-    Args:
-      house: the house.
-      frames_by_planner: planner name -> its replayed episode.
-      exact: the house's exact cost-to-go.
-    """
+    """The cost at the end of the colors, in cells: nearly all costs of observed cells are lower."""
     shown = []
     for frames in frames_by_planner.values():
         if frames.cost_to_go is not None and frames.in_cells:

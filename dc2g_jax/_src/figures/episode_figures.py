@@ -75,7 +75,6 @@ _MARKS = {"start": _START, "robot": {"marker": ">", **_ROBOT}, "subgoal": _SUBGO
 
 
 def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: str) -> list[Any]:
-    """Entries of the legend: the classes of a map, the most frequent first, then marks."""
     classes = [class_patch(index) for index in present_classes(terrain)]
     return classes + [Line2D([], [], label=mark, **_MARKS[mark]) for mark in marks]
 
@@ -194,7 +193,6 @@ def moments(frames: Frames, count: int) -> list[int]:
 
 
 def _titles(frames: Frames, chosen: Sequence[int]) -> list[str]:
-    """Titles of the chosen moments of an episode and of its whole path."""
     titles = []
     for frame in chosen[:-1]:
         first = frames.mode[frame] == TO_GOAL and frame > 0 and frames.mode[frame - 1] != TO_GOAL

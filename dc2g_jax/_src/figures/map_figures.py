@@ -19,7 +19,7 @@ from dc2g_jax._src.files.class_images import Palette
 from dc2g_jax._src.grid.ground import connected_to_goal, goals_without_ground, pieces
 from dc2g_jax._src.grid.terrain import FIGURE_COLORS, FRONT_DOOR, TRAVERSABLE
 
-_LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
+_LEADING, _ISLAND, _BLOCKED, _GRAY = "#bfe0f2", "#e69f00", "#5b606b", "#444444"
 _MARKER: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markeredgewidth": 0.8, "clip_on": False}
 _GOAL: dict[str, Any] = {"marker": "*", "color": "#f0e442", "markersize": 12, **_MARKER}
 _LOST_GOAL: dict[str, Any] = {"marker": "X", "color": "white", "markersize": 9, **_MARKER}
@@ -30,11 +30,8 @@ _LABELED_ISLANDS = 6
 #: Aspect ratio from which on panels are stacked vertically.
 _WIDE = 2.0
 
-#: Inches: longer side of a panel, beside other panels and stacked, and least width of its legend; free space to the
-#: left, to the right, above and below a panel; a line of a legend, and the space above the panels' titles.
-_PANEL_SIDE, _WIDE_PANEL_SIDE, _LEGEND_WIDTH = 4.4, 7.0, 3.7
-_LEFT, _RIGHT, _ABOVE, _BELOW = 0.6, 0.2, 0.3, 0.65
-_LINE, _HEAD = 0.19, 0.4
+#: Inches: longer side of a panel, beside others and stacked; its least width; space around it; a line of its legend.
+_PANEL_SIDE, _WIDE_PANEL_SIDE, _LEAST_WIDTH, _AROUND, _LINE = 4.4, 7.0, 3.7, (0.8, 1.1), 0.19
 
 _LEGEND_COLUMNS = 3
 
@@ -55,38 +52,24 @@ def plot_map(
       cost_to_go: exact cost-to-go; shown on ground that is connected to a goal.
       palette: colors of classes; the figures' colors for classes without one.
     """
-    classes, ground, distance = _panels(title, terrain)
-    _draw_classes(classes, terrain, palette)
-    _draw_ground(ground, terrain)
-    _draw_distance(distance, terrain, cost_to_go)
-    figure = classes.figure
-    assert isinstance(figure, Figure)
-    save_figure(figure, path)
-
-
-def _panels(title: str, terrain: UInt8[np.ndarray, "h w"]) -> list[Axes]:
-    """Three panels with the map's aspect ratio, side by side, or stacked if the map is wide."""
     height, width = terrain.shape
     rows, columns = (3, 1) if width > _WIDE * height else (1, 3)
     scale = (_PANEL_SIDE if columns == 3 else _WIDE_PANEL_SIDE) / max(width, height)
-    panel_width, panel_height = scale * width, scale * height
-    lines = -(-len(np.unique(terrain)) // _LEGEND_COLUMNS)
-    block_width = _LEFT + max(panel_width, _LEGEND_WIDTH) + _RIGHT
-    block_height = _ABOVE + panel_height + _BELOW + _LINE * max(lines, 3)
-    size = np.array([columns * block_width, rows * block_height + _HEAD])
-    figure = Figure(figsize=tuple(size))
-    figure.text(_LEFT / size[0], 1 - 0.25 / size[1], title, fontsize=12, va="center")
-    panels = []
-    for number in range(3):
-        x = block_width * (number % columns) + (_LEFT + block_width - _RIGHT - panel_width) / 2
-        y = size[1] - _HEAD - block_height * (number // columns) - _ABOVE - panel_height
-        axes = figure.add_axes((x / size[0], y / size[1], panel_width / size[0], panel_height / size[1]))
-        axes.set_xlabel("column", fontsize=8.5, color="#444444")
-        axes.set_ylabel("row", fontsize=8.5, color="#444444")
-        axes.tick_params(labelsize=8, color="#999999", labelcolor="#444444")
+    lines = max(-(-len(np.unique(terrain)) // _LEGEND_COLUMNS), 3)
+    panel = max(scale * width, _LEAST_WIDTH) + _AROUND[0], scale * height + _AROUND[1] + _LINE * lines
+    figure = Figure(figsize=(columns * panel[0], rows * panel[1] + 0.6), layout="constrained")
+    figure.suptitle(title, fontsize=12, x=0.02, ha="left")
+    panels = figure.subplots(rows, columns).ravel()
+    for axes in panels:
+        axes.set_anchor("N")
+        axes.set_xlabel("column", fontsize=8.5, color=_GRAY)
+        axes.set_ylabel("row", fontsize=8.5, color=_GRAY)
+        axes.tick_params(labelsize=8, color="#999999", labelcolor=_GRAY)
         axes.spines[:].set_color("#999999")
-        panels.append(axes)
-    return panels
+    _draw_classes(panels[0], terrain, palette)
+    _draw_ground(panels[1], terrain)
+    _draw_distance(panels[2], terrain, cost_to_go)
+    save_figure(figure, path)
 
 
 def _show(axes: Axes, colors: list[str], numbers: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]) -> None:
@@ -148,14 +131,12 @@ def _draw_distance(axes: Axes, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Fl
     axes.set_title("exact cost-to-go", fontsize=10)
     image = axes.imshow(np.where(leading, cost_to_go, np.nan), cmap="viridis_r", vmin=0, interpolation="nearest")
     # In grayscale, ground near a goal looks like unreachable ground: a line separates them.
-    axes.add_collection(LineCollection(cell_rim(leading), colors="#444444", linewidths=0.5), autolim=False)
+    axes.add_collection(LineCollection(cell_rim(leading), colors=_GRAY, linewidths=0.5), autolim=False)
     _draw_goals(axes, terrain)
     if not np.any(leading):
         axes.text(0.5, 0.5, "no path to a goal", transform=axes.transAxes, ha="center", va="center", fontsize=10)
         return
-    width, height = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
-    length = max(width, _LEGEND_WIDTH) * 0.7
-    bar = axes.inset_axes((0.5 - length / width / 2, -0.75 / height, length / width, 0.12 / height))
-    axes.figure.colorbar(image, cax=bar, orientation="horizontal").outline.set_edgecolor("#999999")
-    bar.set_xlabel("cells to the nearest goal", fontsize=8.5, color="#444444")
-    bar.tick_params(labelsize=8, color="#999999", labelcolor="#444444")
+    bar = axes.figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.7, aspect=30, panchor=False)
+    bar.outline.set_edgecolor("#999999")
+    bar.set_label("cells to the nearest goal", fontsize=8.5, color=_GRAY)
+    bar.ax.tick_params(labelsize=8, color="#999999", labelcolor=_GRAY)

@@ -16,11 +16,7 @@ _MARK = ".unfinished-"
 def replacing(path: str | Path) -> Iterator[Path]:
     """Write a file atomically: a temporary file replaces `path` at the end of the block, unless the block raises.
 
-    Args:
-        path: the file to replace or create.
-
-    Yields:
-        Path of the temporary file: hidden, in the same folder, with the same suffix and a unique name.
+    The temporary file, which is given, is hidden, in the same folder, with the same suffix and a unique name.
     """
     path = Path(path)
     unfinished = path.with_name(f".{path.stem}{_MARK}{secrets.token_hex(8)}{path.suffix}")

@@ -49,13 +49,13 @@ class Palette:
         """Terrain class of every RGB color, uint8 [2**24]; 254 for unknown classes, 255 for colors without entry."""
         table = np.full(2**24, _NO_ENTRY, np.uint8)
         known = {**ALIASES, **{name: index for index, name in enumerate(CLASS_NAMES)}}
-        for name, code in zip(self.names[::-1], _color_codes(self.colors)[::-1], strict=True):
+        for name, code in zip(self.names[::-1], color_codes(self.colors)[::-1], strict=True):
             table[code] = known.get(name, _FOREIGN_CLASS)
         return table
 
     def classes(self, pixels: np.ndarray) -> np.ndarray:
         """Terrain classes of RGB colors, uint8 [...], as in `class_of_color`, for colors uint8 [... 3 or more]."""
-        return self.class_of_color[_color_codes(pixels)]
+        return self.class_of_color[color_codes(pixels)]
 
     def color_of_class(self) -> dict[int, tuple[int, int, int]]:
         """RGB color of each terrain class that has one; the first if it has several."""
@@ -122,8 +122,7 @@ def check_classes(where: str, classes: npt.ArrayLike) -> np.ndarray:
     """Return an array as terrain classes, uint8 [H W].
 
     Raises:
-        InputError: the array is not two-dimensional, is empty, or has an invalid class index; `where` begins the
-            message.
+        InputError: it is no class image; `where` begins the message.
     """
     array = np.asarray(classes)
     if array.ndim != 2 or array.size == 0:
@@ -159,9 +158,9 @@ def write_palette(folder: Path) -> None:
     write_table(folder / PALETTE_FILE, ("class", "r", "g", "b"), rows)
 
 
-def _color_codes(colors: np.ndarray) -> np.ndarray:
-    wide = colors.astype(np.int32)
-    return (wide[..., 0] << 16) | (wide[..., 1] << 8) | wide[..., 2]
+def color_codes(colors: np.ndarray) -> np.ndarray:
+    """RGB colors, uint8 [... 3 or more], as one integer each."""
+    return colors[..., :3].astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
 
 
 def _explain_color(palette: Palette, colors: np.ndarray, classes: np.ndarray, top: int) -> str:
@@ -173,7 +172,7 @@ def _explain_color(palette: Palette, colors: np.ndarray, classes: np.ndarray, to
         remedy = f"rename it to {close[0] if close else 'one of: ' + ', '.join(known)}"
         return f"pixel x={x}, y={top + y} is {short(name)} in {palette.path.name}, which is no class; {remedy}"
     rows, columns = np.nonzero(classes == _NO_ENTRY)
-    _, first, counts = np.unique(_color_codes(colors[rows, columns]), return_index=True, return_counts=True)
+    _, first, counts = np.unique(color_codes(colors[rows, columns]), return_index=True, return_counts=True)
     listed = []
     for index in np.argsort(-counts, kind="stable")[:_LISTED_COLORS]:
         x, y, others = int(columns[first[index]]), int(rows[first[index]]), int(counts[index]) - 1

@@ -82,11 +82,7 @@ def read_png(path: Path, kinds: Collection[str], what: str, *, size: tuple[int, 
 
 
 def bands(picture: Image.Image) -> Iterator[tuple[slice, Image.Image]]:
-    """The rows of an image in a few parts. What is computed from pixels takes many times their memory.
-
-    Yields:
-        The rows, and the image of them.
-    """
+    """The rows of an image in a few parts. What is computed from pixels takes many times their memory."""
     rows_at_once = max(1, _PIXELS_AT_ONCE // picture.width)
     for top in range(0, picture.height, rows_at_once):
         bottom = min(top + rows_at_once, picture.height)

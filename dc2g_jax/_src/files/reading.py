@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_number, short
 
 #: Largest sizes, in bytes: of files of facts, such as the card of a network; of other texts; of pictures and arrays.
 FACTS, TEXT, PIXELS = 2**20, 2**26, 2**28
@@ -142,13 +142,11 @@ def finite_number(where: str, value: Any, remedy: str) -> float:
     Raises:
       InputError: it is something else.
     """
-    try:
-        found = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else math.nan
-    except (ValueError, OverflowError):
-        found = math.nan
-    if not math.isfinite(found):
-        raise InputError(f"{where} has {short(value)}, which is not a number; {remedy}")
-    return found
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            value = float(value)
+    check_number(where, value, hint=f"({remedy})")
+    return float(value)
 
 
 def read_object(path: Path, remedy: str, *, at_most: int = FACTS) -> dict[str, Any]:
@@ -185,11 +183,7 @@ class _PlainLoader(yaml.SafeLoader):
 
 
 def read_yaml(path: Path, remedy: str) -> Any:
-    """The value of a YAML document of at most 16 KiB.
-
-    Raises:
-      InputError: see `check_file`, or the file is not YAML, has aliases, or is nested deeply.
-    """
+    """The value of a YAML document of at most 16 KiB, without aliases and not nested deeply."""
     text = read_text(path, remedy, at_most=2**14)
     try:
         return yaml.load(text, _PlainLoader)
@@ -201,11 +195,7 @@ def read_yaml(path: Path, remedy: str) -> Any:
 
 
 def read_array(path: Path, remedy: str) -> np.ndarray:
-    """The array of a `.npy` file, of numbers or booleans.
-
-    Raises:
-      InputError: see `check_file`, or the file holds no array of the size that it declares.
-    """
+    """The array of a `.npy` file, of numbers or booleans."""
     data = read_bytes(path, remedy, at_most=PIXELS)
     try:
         return _array_of(data)

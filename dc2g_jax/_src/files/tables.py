@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from io import BufferedIOBase
 from pathlib import Path
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.reading import check_file, opened, read_lines
 
@@ -15,11 +15,7 @@ _LONGEST_LINE, _LARGEST_TABLE = 2**20, 2**22
 
 
 def read_table(path: Path, columns: Sequence[str], *, remedy: str) -> list[tuple[int, dict[str, str]]]:
-    """Read the named columns of a CSV file with a header row; see `table_lines`.
-
-    Returns:
-        Its rows; at least one.
-    """
+    """The rows of a small CSV file, at least one; see `table_lines`."""
     check_file(path, remedy, at_most=_LARGEST_TABLE)
     return list(table_lines(path, columns, remedy=remedy))
 
@@ -29,13 +25,8 @@ def table_lines(
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """Go through the named columns of a CSV file with a header row, whatever its length.
 
-    A byte-order mark, CRLF line ends, blank lines, further columns and a missing final line end are accepted.
-
-    Args:
-        path: the CSV file, UTF-8.
-        columns: required columns; values are stripped of surrounding blanks.
-        optional: optional columns, which may be absent or empty; their values are then empty. `None` for all the rest.
-        remedy: end of the message about a missing file: what to do about it.
+    A byte-order mark, CRLF line ends, blank lines, further columns and a missing final line end are accepted. Values
+    are stripped of surrounding blanks. `optional` columns may be absent or empty; `None` stands for all the rest.
 
     Yields:
         A tuple `(line number, {column: value})` for each row, in file order; at least one.
@@ -69,16 +60,11 @@ def table_lines(
 
 
 def whole_cell(where: str, text: str, low: int, high: int) -> int:
-    """The whole number of at most nine digits in a cell of a table.
-
-    Raises:
-        InputError: it is something else, or not from `low` to `high`; `where` begins the message.
-    """
+    """The whole number of at most nine digits in a cell of a table, within bounds; `where` begins a message."""
     # `int` alone would accept spellings that do not belong in a table.
-    number = int(text) if re.fullmatch(r"-?[0-9]{1,9}", text) else None
-    if number is None or not low <= number <= high:
-        raise InputError(f"{where} is {short(text)}; give a whole number from {low} to {high}")
-    return number
+    number = int(text) if re.fullmatch(r"-?[0-9]{1,9}", text) else text
+    check_number(where, number, whole=True, least=low, most=high)
+    return int(number)
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
@@ -96,7 +82,6 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[obje
 
 
 def _texts(path: Path, file: BufferedIOBase, remedy: str) -> Iterator[str]:
-    """The lines of a file as text."""
     for number, line in read_lines(file, path, at_most=_LONGEST_LINE):
         try:
             yield line.decode("utf-8-sig" if number == 1 else "utf-8")

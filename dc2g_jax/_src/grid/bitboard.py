@@ -90,7 +90,6 @@ def single(x: Int[Array, "*batch"], y: Int[Array, "*batch"], n_words: int, heigh
 
 
 def _word_at(board: Board, word: Int[Array, "*batch"], row: Int[Array, "*batch"]) -> UInt32[Array, "*batch"]:
-    """One word of each board."""
     n_words, height, *batch = board.shape
     words = board.reshape(n_words * height, *batch)
     return jnp.take_along_axis(words, (word * height + row)[None], axis=0, mode="promise_in_bounds")[0]

@@ -114,15 +114,11 @@ def _upwind(one: Float[Array, "n"], other: Float[Array, "n"], cost_of_cell: Floa
 
 
 def _diagonals(cells: Float[Array, "h w"], slope: int) -> Float[Array, "d r"]:
-    """Cells ordered by diagonals, with one entry per row of the grid.
+    """Cells ordered by diagonals, which move to the left by `slope` columns a row, with one entry per row of the grid.
 
     The left and right neighbors of a cell are the same entries of the previous and the next diagonal. The neighbors
     above and below are one entry beside these. A border of infinity surrounds the cells: the first diagonal, the last
     diagonal, and the last entry of each diagonal.
-
-    Args:
-      cells: the grid.
-      slope: columns by which a diagonal moves to the left from one row to the next, 1 or -1.
     """
     height, width = cells.shape
     n_diagonals = height + width + 1

@@ -57,13 +57,7 @@ def scaled(levels: NoiseLevels, level: ArrayLike) -> NoiseLevels:
 
 
 def noisy_map(key: Key[Array, ""], terrain: UInt8[Array, "h w"], levels: NoiseLevels) -> UInt8[Array, "h w"]:
-    """The map with wrong classes and missing cells. Unobserved cells stay unobserved.
-
-    Args:
-      key: random key.
-      terrain: class index of every cell, 0 where it has not been observed.
-      levels: noise levels; only those of labels and dropped pixels matter.
-    """
+    """The map with wrong classes and missing cells. Cells of class 0, which are unobserved, stay so."""
     label_key, drop_key = jax.random.split(key)
     missing = chance(drop_key, levels.dropped, terrain.shape)
     return jnp.where(missing, jnp.uint8(0), mislabeled(label_key, terrain, levels))

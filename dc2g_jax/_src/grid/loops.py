@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool
 _Carry = TypeVar("_Carry")
 _Result = TypeVar("_Result")
 
-#: A batch shrinks to one place in so many once they suffice, unless fewer than so many places would be left.
-_ONE_IN, _FEWEST_LEFT = 8, 512
+#: A batch shrinks to one place in so many once they suffice.
+_ONE_IN = 8
 
 #: Steps between checks for members that are done: in a batch that shrinks, and in the last, small one.
 _STEPS_BETWEEN_LOOKS, _STEPS_BETWEEN_LAST_LOOKS = 2, 8
@@ -50,11 +50,12 @@ def for_each_until(
     given: Any,
     *,
     most: int,
+    fewest_left: int = 512,
 ) -> _Result:
     """Repeat a function on an accelerator, for each member of a batch until that member is done.
 
     Thousands of members take each step together, but few need more than two or three steps. So those that go on are
-    gathered into a smaller batch, and later into an even smaller one.
+    gathered into a smaller batch, and later into an even smaller one, of `fewest_left` at least.
 
     Args:
       going: `carry ->` which members go on.
@@ -63,12 +64,10 @@ def for_each_until(
       carry: arrays with the batch axes last. Only a batch with one axis shrinks.
       given: constants of each member, likewise.
       most: bound on the calls of `function` for one size of the batch.
-
-    Returns:
-      The result of every member.
+      fewest_left: least number of places.
     """
     size = going(carry).size
-    left = size // _ONE_IN if going(carry).ndim == 1 and size >= _ONE_IN * _FEWEST_LEFT else 0
+    left = size // _ONE_IN if going(carry).ndim == 1 and size >= _ONE_IN * fewest_left else 0
     steps = _STEPS_BETWEEN_LOOKS if left else _STEPS_BETWEEN_LAST_LOOKS
     carry = until(
         lambda carry: jnp.sum(going(carry), dtype=jnp.int32) <= left,
@@ -82,5 +81,5 @@ def for_each_until(
     # Spare places hold a member that is done: a copy of one that goes on would count as another one going on.
     members = jnp.nonzero(going(carry), size=left, fill_value=jnp.argmin(going(carry)))[0]
     rest = jax.tree.map(lambda leaf: leaf.at[..., members].get(mode="promise_in_bounds"), (carry, given))
-    of_rest = for_each_until(going, function, result, *rest, most=most)
+    of_rest = for_each_until(going, function, result, *rest, most=most, fewest_left=fewest_left)
     return jax.tree.map(lambda leaf, own: leaf.at[..., members].set(own, mode="promise_in_bounds"), of_all, of_rest)

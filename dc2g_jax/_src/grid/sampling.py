@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, PATH, TRAVERSABLE, UNKNOWN
 
 ClassImage = npt.NDArray[np.uint8]
@@ -14,17 +15,9 @@ Grid = TypeVar("Grid", np.ndarray, jax.Array)
 
 
 def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
-    """The pixel along an axis that is nearest to the center of a sample. Exact ties are rounded down.
+    """The pixel of `pixels` along an axis that is nearest to the center of sample `index` of `samples`, all integers.
 
-    All arguments are integers or integer arrays of NumPy or JAX.
-
-    Args:
-        index: index i of the sample.
-        pixels: number n of pixels along the axis.
-        samples: number m of samples along the axis.
-
-    Returns:
-        (n (2 i + 1) - 1) // (2 m).
+    Exact ties are rounded down: (n (2 i + 1) - 1) // (2 m).
     """
     return (pixels * (2 * index + 1) - 1) // (2 * samples)
 
@@ -49,13 +42,14 @@ def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> Class
         Class indices, uint8 [rows columns].
 
     Raises:
-        ValueError: `classes` is not a non-empty two-dimensional array, or `cells` is not positive.
+        ValueError: `classes` is not a non-empty two-dimensional array.
+        InputError: `cells` is less than 1.
     """
     if classes.ndim != 2 or classes.size == 0:
         raise ValueError(f"classes must be a non-empty [H W] array, got shape {classes.shape}")
     columns, rows = (cells, cells) if isinstance(cells, int) else cells
-    if min(columns, rows) < 1:
-        raise ValueError(f"cells must be positive, got {cells}")
+    for name, number in (("columns", columns), ("rows", rows)):
+        check_number(name, number, whole=True, least=1)
     sampled = resize_nearest(classes, rows, columns)
     path = ndimage.binary_dilation(sampled == PATH, np.ones((3, 3)))
     return np.where(path & (sampled != FRONT_DOOR), np.uint8(PATH), sampled).astype(np.uint8)
@@ -66,14 +60,6 @@ def sample_conservatively(classes: ClassImage, columns: int, rows: int) -> Class
 
     A cell covers every pixel that it touches. It is a front door if any of its pixels is. Otherwise it is an obstacle
     if any is, else unknown if any is, else traversable. Of several such classes, it gets the most frequent one.
-
-    Args:
-        classes: class indices, uint8 [H W].
-        columns: columns of the grid, at most W.
-        rows: rows of the grid, at most H.
-
-    Returns:
-        Class indices, uint8 [rows columns].
     """
     if classes.shape == (rows, columns):
         return classes.copy()

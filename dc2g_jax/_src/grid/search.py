@@ -159,13 +159,9 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
 def first_headings(
     pose: Pose, x: Int[Array, "*batch"], y: Int[Array, "*batch"], free: Board
 ) -> Bool[Array, "heading *batch"]:
-    """The headings in which a robot can first arrive on the cell in column `x`, row `y`; none if it is unreachable.
+    """The headings in which a robot can first arrive on the cell in column `x`, row `y`, over free cells.
 
-    Args:
-      pose: pose of the robot.
-      x: column of the cell.
-      y: row of the cell.
-      free: cells the robot may use.
+    None if it is unreachable.
     """
 
     def there(reached: PoseSet, cell: tuple[Array, Array]) -> Bool[Array, "heading *batch"]:
@@ -248,16 +244,10 @@ def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *b
 def nearest_headings(
     pose: Pose, candidates: PoseSet, free: Board, width: int
 ) -> tuple[PoseSet, Int[Array, "h w *batch"]]:
-    """The nearest candidate headings of every cell, and the number of actions to reach them.
+    """The nearest candidate headings of every cell, and the number of actions to reach them over free cells.
 
-    Args:
-      pose: pose of the robot; must not be a candidate.
-      candidates: poses to compare; unreachable candidates are ignored.
-      free: cells the robot may use.
-      width: columns of the map.
-
-    Returns:
-      The nearest candidates of every cell, and their distance in actions; 1 on cells without candidates.
+    The pose of the robot must not be a candidate. Candidates that cannot be reached are ignored. The number is 1 on
+    cells without candidates.
     """
 
     def find(reached: PoseSet, nearest: PoseSet) -> PoseSet:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int, Shaped, UInt, UInt32
 from scipy import ndimage
 
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import WORD_BITS, Board
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
@@ -165,11 +166,7 @@ class OccludedKernel(Kernel):
     ) -> Shaped[Array, "heading ..."]:
         """Fold `add(result so far, cells from which a target is seen at the offset)` over the offsets of each heading.
 
-        Args:
-          add: called for each offset except the robot's own cell.
-          own: the result for the robot's own cell, with which the fold begins.
-          targets: cells to see.
-          opaque: cells that hide what is behind them.
+        The fold begins with `own`, the result for the robot's own cell.
         """
         height = opaque.shape[1]
         dx, dy, parents = self._tree()
@@ -218,7 +215,7 @@ def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
 
 def _window(radius: int) -> tuple[Bool[np.ndarray, "lateral ahead"], Int[np.ndarray, "lateral ahead"]]:
     """Which cells around the robot are less than 45 degrees off the heading, and their squared distances."""
-    steps = np.array(range(-radius, radius + 1))  # a range refuses fractions
+    steps = np.arange(-radius, radius + 1)
     ahead, lateral = steps, steps[:, None]
     return np.abs(lateral) < ahead, ahead**2 + lateral**2
 
@@ -238,21 +235,16 @@ def field_of_view(radius: int) -> Kernel:
     heading, that is |lateral| < ahead; the robot's own cell always is.
 
     Raises:
-      ValueError: `radius` is less than 1.
+      InputError: `radius` is less than 1.
     """
-    if radius < 1:
-        raise ValueError(f"sensing range {radius} is less than one cell; give a whole number of at least 1")
+    check_number("sensing range", radius, whole=True, least=1)
     wedge, squared = _window(radius)
     return _turned((wedge & (squared <= radius**2)) | (squared == 0))
 
 
 @functools.cache
 def line_of_sight(radius: int) -> OccludedKernel:
-    """The field of view with occlusion: houses, trees and other opaque cells hide what is behind them.
-
-    Raises:
-      ValueError: `radius` is less than 1.
-    """
+    """The field of view with occlusion: houses, trees and other opaque cells hide what is behind them."""
     return OccludedKernel(radius, field_of_view(radius).offsets)
 
 
@@ -263,10 +255,9 @@ def expanding_kernel(radius: int) -> Kernel:
     The open wedge of range `radius` eroded by a 3x3 square inside its window, plus the cells 0, 1 and 2 ahead.
 
     Raises:
-      ValueError: `radius` is less than 2.
+      InputError: `radius` is less than 2.
     """
-    if radius < 2:
-        raise ValueError(f"expanding range {radius} is less than two cells; give a whole number of at least 2")
+    check_number("expanding range", radius, whole=True, least=2)
     wedge, squared = _window(radius)
     # The border counts as inside the wedge: the authors' erosion ignores cells beyond the window.
     cells = ndimage.binary_erosion(wedge & (squared < radius**2), np.ones((3, 3)), border_value=1)

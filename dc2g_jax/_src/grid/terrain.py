@@ -35,12 +35,8 @@ FIGURE_COLORS = {name: color for name, (_, color) in _COLORS.items()}
 #: Class index -> RGB color in figures, uint8 [class 3].
 FIGURE_RGB = np.array([list(bytes.fromhex(color[1:])) for color in FIGURE_COLORS.values()], np.uint8)
 
-#: Largest number of classes: indices are bytes, the two highest values mark unknown colors while reading images.
-_MOST_CLASSES = 254
-if len(CLASS_NAMES) > _MOST_CLASSES:
-    raise ValueError(
-        f"{len(CLASS_NAMES)} terrain classes do not fit into a byte; merge some, {_MOST_CLASSES} are possible"
-    )
+# Indices are bytes, and the two highest values mark unknown colors while reading images.
+assert len(CLASS_NAMES) <= 254, f"{len(CLASS_NAMES)} terrain classes do not fit into a byte"
 
 #: Bits in a class index.
 CLASS_BITS = (len(CLASS_NAMES) - 1).bit_length()
@@ -48,21 +44,12 @@ CLASS_BITS = (len(CLASS_NAMES) - 1).bit_length()
 #: Class index of cells beyond the edge of a map.
 OUTSIDE = len(CLASS_NAMES)
 
-UNKNOWN = 0
-FRONT_DOOR = CLASS_NAMES.index("front_door")
-GRASS = CLASS_NAMES.index("grass")
-ROAD = CLASS_NAMES.index("road")
-DRIVEWAY = CLASS_NAMES.index("driveway")
-CAR = CLASS_NAMES.index("car")
-PATH = CLASS_NAMES.index("path")
-HOUSE = CLASS_NAMES.index("house")
-SIDEWALK = CLASS_NAMES.index("sidewalk")
-FENCE = CLASS_NAMES.index("fence")
-TREE = CLASS_NAMES.index("tree")
-BUSH = CLASS_NAMES.index("bush")
-NOTHING = CLASS_NAMES.index("nothing")
-#: Free and occupied cells of a map without classes, such as an occupancy map.
-FREE, OCCUPIED = CLASS_NAMES.index("traversable"), HOUSE
+#: The class indices, in the order of the classes above.
+UNKNOWN, FRONT_DOOR, GRASS, ROAD, DRIVEWAY, CAR, PATH, HOUSE, SIDEWALK, FENCE, TREE = range(11)
+MAILBOX, BUSH, GARAGE_DOOR, NOTHING, FREE = range(11, 16)
+
+#: Occupied cells of a map without classes, such as an occupancy map, whose free cells are `FREE`.
+OCCUPIED = HOUSE
 
 #: Class index -> whether the robot may drive on it, bool [class].
 TRAVERSABLE = np.isin(CLASS_NAMES, ["front_door", "road", "driveway", "path", "sidewalk", "traversable"])

@@ -60,12 +60,7 @@ def window_around(pose: Pose, words: int, rows: int, grid: tuple[int, int]) -> W
     """The window with the robot in the middle, or as near to it as the grid's edges allow.
 
     The robot has at least `16 * (words - 1)` columns and `(rows - 1) // 2` rows of the grid on every side, or all.
-
-    Args:
-      pose: pose of the one robot.
-      words: words in a row of the window.
-      rows: rows of the window.
-      grid: words in a row of the grid, and its rows. A window is not larger.
+    `grid` holds the words in a row of the grid and its rows; a window is not larger.
     """
     words, rows = min(words, grid[0]), min(rows, grid[1])
     word, _ = word_and_bit(pose.x[0] - WORD_BITS // 2 * (words - 1))

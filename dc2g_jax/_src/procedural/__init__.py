@@ -6,12 +6,13 @@ robot that starts on the road can reach a front door in the map's 50x50 grid.
 
 import numpy as np
 
+from dc2g_jax._src.errors import check_name, check_number
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.sampling import ClassImage, sample_grid
 from dc2g_jax._src.grid.terrain import ROAD
 from dc2g_jax._src.procedural._city import draw_city
 from dc2g_jax._src.procedural.drawing import first_usable
-from dc2g_jax._src.procedural.suburbs import SUBURBS, draw_row, draw_suburb
+from dc2g_jax._src.procedural.suburbs import SUBURBS, draw_suburb
 
 #: Styles of the four neighborhoods. No training house of the default dataset is "urban".
 STYLES: tuple[str, ...] = (*SUBURBS, "urban")
@@ -36,32 +37,19 @@ PROCEDURAL_SPLIT: tuple[tuple[str, str, str], ...] = tuple(
 
 
 def house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `procedural_houses(seed)`: an even number, its own.
-
-    Raises:
-        ValueError: if either is negative or 2^32 or more.
-    """
-    if not (0 <= seed < 2**32 and 0 <= index < 2**32):
-        raise ValueError(f"seed and index must be in [0, 2^32), got {seed} and {index}")
+    """The seed of house `index` of `procedural_houses(seed)`: an even number, its own. Both are below 2^32."""
+    for name, number in (("seed", seed), ("index", index)):
+        check_number(name, number, whole=True, least=0, most=2**32 - 1)
     return 2 * ((seed << 32) | index)
 
 
 def training_house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `procedural_training_houses`: an odd number, its own.
-
-    Raises:
-        ValueError: as `house_seed`.
-    """
+    """The seed of house `index` of `procedural_training_houses`: an odd number, its own."""
     return house_seed(seed, index) + 1
 
 
 def is_usable(classes: ClassImage, cells: int = 50) -> bool:
-    """Whether a front door can be reached, 4-connected, from at least `MIN_ROAD_CELLS` road cells of the map's grid.
-
-    Args:
-        classes: class indices, uint8 [H W].
-        cells: side of the grid.
-    """
+    """Whether a front door can be reached from at least `MIN_ROAD_CELLS` road cells of the map's grid."""
     grid = sample_grid(classes, cells)
     return int(np.sum(connected_to_goal(grid) & (grid == ROAD))) >= MIN_ROAD_CELLS
 
@@ -75,13 +63,8 @@ def draw_house(seed: int, style: str) -> ClassImage:
 
     Returns:
         Class indices, uint8 [H W], each side 200 to 930 pixels; `is_usable` holds for it.
-
-    Raises:
-        ValueError: if there is no such style, or the seed is negative.
-        RuntimeError: if 100 drawings in a row turn out unusable.
     """
-    if style not in STYLES:
-        raise ValueError(f"no style {style!r}; there are {', '.join(STYLES)}")
+    check_name("style", style, STYLES)
 
     def draw(rng: np.random.Generator) -> ClassImage | None:
         classes = draw_city(rng) if style == "urban" else draw_suburb(rng, SUBURBS[style])
@@ -90,44 +73,13 @@ def draw_house(seed: int, style: str) -> ClassImage:
     return first_usable(draw, seed, (STYLES.index(style),), f"{style} house")
 
 
-def draw_neighborhood(seed: int, style: str, cells: int, doors: int) -> ClassImage:
-    """Generate houses in rows along streets. The map depends only on the arguments.
-
-    Args:
-        seed: a non-negative integer.
-        style: one of `SUBURBS`.
-        cells: side of the grid, whose cells are as large as those of a single house's map. The streets are long enough
-            for about 350 cells.
-        doors: largest number of houses that have a front door.
-
-    Returns:
-        Class indices of the grid, uint8 [cells cells]; a front door can be reached from the road.
-
-    Raises:
-        ValueError: if there is no such style, or a number is out of range.
-        RuntimeError: if 100 drawings in a row turn out unusable.
-    """
-    if style not in SUBURBS:
-        raise ValueError(f"no style {style!r}; there are {', '.join(SUBURBS)}")
-    if cells < 50 or doors < 1:
-        raise ValueError(f"{cells} cells and {doors} doors; give at least 50 cells and a door")
-
-    def draw(rng: np.random.Generator) -> ClassImage | None:
-        classes = draw_row(rng, SUBURBS[style], cells, doors)
-        return sample_grid(classes, cells) if is_usable(classes, cells=cells) else None
-
-    return first_usable(draw, seed, (len(STYLES) + STYLES.index(style),), f"{style} neighborhood")
-
-
 def procedural_houses(seed: int = 0, split: str | None = None) -> list[tuple[str, str, ClassImage]]:
     """The default dataset: (name, split, class indices uint8 [H W]) of 77 houses, as in `PROCEDURAL_SPLIT`.
 
-    Args:
-        seed: seed in [0, 2^32).
-        split: the only split to draw; `None` for all. A house does not depend on the others.
+    With a `split`, the others are not drawn: a house does not depend on the others.
 
     Raises:
-        ValueError: if the seed is not in [0, 2^32).
+        InputError: the seed is not a whole number from 0 to 2^32 - 1.
     """
     return [
         (name, of, draw_house(house_seed(seed, index), style))
@@ -147,6 +99,7 @@ def procedural_training_houses(count: int, seed: int) -> list[ClassImage]:
         Class indices of each, uint8 [H W].
 
     Raises:
-        ValueError: if the seed is not in [0, 2^32).
+        InputError: if the seed is not in [0, 2^32).
     """
+    check_number("count", count, whole=True, least=0)
     return [draw_house(training_house_seed(seed, index), STYLES[index % len(STYLES)]) for index in range(count)]

@@ -257,12 +257,7 @@ def _tower(rng: np.random.Generator, width: float, setback: float) -> Building:
     left, right = -side / 2 - uniform(rng, (-2, 3)), side / 2 + uniform(rng, (-2, 3))
     blocks = [rectangle(-side / 2, back, side / 2, back + side), rectangle(left, back + 3, right, back + side - 3)]
     x = uniform(rng, (-0.3, 0.3)) * side
-    corners = [
-        (x + rng.normal(0, 4), -1.5),
-        (x + rng.normal(0, 2), back * 0.5),
-        (x, back - 1),
-        (x, back + 0.5),
-    ]
+    corners = [(x + rng.normal(0, 4), -1.5), (x + rng.normal(0, 2), back * 0.5), (x, back - 1), (x, back + 0.5)]
     line = resample(smooth(corners, int(rng.integers(0, 3))), 1.0)
     half = uniform(rng, (1.0, 1.7))
     door = jitter(rng, rectangle(x - half, back - 0.7, x + half, back + 0.9), 0.1)

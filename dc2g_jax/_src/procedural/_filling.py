@@ -17,10 +17,8 @@ def fill_polygons(
 ) -> None:
     """Set the pixels of polygons to 1: of each its outline, and its inside by the even-odd rule.
 
-    Args:
-      canvas: the image.
-      points: corners (column, row) of one polygon after the other, which may lie outside the image.
-      sizes: number of corners of each polygon.
+    `points` are the corners (column, row) of one polygon after the other, which may lie outside the image; `sizes` are
+    their numbers.
     """
     size = np.array(canvas.shape[::-1])
     corners = points.T.astype(np.int64)

@@ -11,21 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from dc2g_jax._src.errors import check_number
+from dc2g_jax._src.grid import terrain
 from dc2g_jax._src.grid.sampling import ClassImage
-from dc2g_jax._src.grid.terrain import (
-    BUSH,
-    CAR,
-    DRIVEWAY,
-    FENCE,
-    FRONT_DOOR,
-    GRASS,
-    HOUSE,
-    NOTHING,
-    PATH,
-    ROAD,
-    SIDEWALK,
-    TREE,
-)
 from dc2g_jax._src.procedural._filling import fill_polygons
 
 Points = npt.NDArray[np.float64]
@@ -36,22 +24,22 @@ _ATTEMPTS = 100
 
 #: Layer -> terrain class, in painting order: later layers cover earlier ones. Pavement minus verge is sidewalk.
 LAYERS: dict[str, int] = {
-    "blocked": NOTHING,
-    "bush": BUSH,
-    "tree": TREE,
-    "fence": FENCE,
-    "path": PATH,
-    "pavement": SIDEWALK,
-    "driveway": DRIVEWAY,
-    "pavement_over_driveway": SIDEWALK,
-    "road": ROAD,
-    "crossing": SIDEWALK,
-    "island": GRASS,
-    "car": CAR,
-    "house": HOUSE,
-    "court": GRASS,
-    "court_path": PATH,
-    "door": FRONT_DOOR,
+    "blocked": terrain.NOTHING,
+    "bush": terrain.BUSH,
+    "tree": terrain.TREE,
+    "fence": terrain.FENCE,
+    "path": terrain.PATH,
+    "pavement": terrain.SIDEWALK,
+    "driveway": terrain.DRIVEWAY,
+    "pavement_over_driveway": terrain.SIDEWALK,
+    "road": terrain.ROAD,
+    "crossing": terrain.SIDEWALK,
+    "island": terrain.GRASS,
+    "car": terrain.CAR,
+    "house": terrain.HOUSE,
+    "court": terrain.GRASS,
+    "court_path": terrain.PATH,
+    "door": terrain.FRONT_DOOR,
 }
 
 
@@ -67,9 +55,10 @@ def first_usable(
       what: what is drawn, for the message.
 
     Raises:
-      ValueError: the seed is negative.
+      InputError: the seed is not a whole number of at least 0.
       RuntimeError: 100 drawings in a row turn out unusable.
     """
+    check_number("seed", seed, whole=True, least=0)
     for attempt in range(_ATTEMPTS):
         drawn = draw(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*key, attempt))))
         if drawn is not None:
@@ -129,11 +118,7 @@ def jitter(rng: np.random.Generator, points: Points, amount: float) -> Points:
 
 
 def disc(
-    rng: np.random.Generator,
-    center: npt.ArrayLike,
-    radius: float,
-    unevenness: float = 0.03,
-    corners: int | None = None,
+    rng: np.random.Generator, center: npt.ArrayLike, radius: float, unevenness: float = 0.03, corners: int | None = None
 ) -> Points:
     """A circle as if outlined by hand: a polygon [corners 2], with 10 to 24 corners by default."""
     count = int(rng.integers(10, 25)) if corners is None else corners
@@ -273,8 +258,8 @@ class Sketch:
 
     def classes(self) -> ClassImage:
         """The finished image: class indices, uint8 [H W]."""
-        picture = np.full((self.view.height, self.view.width), GRASS, np.uint8)
-        for layer, terrain in LAYERS.items():
+        picture = np.full((self.view.height, self.view.width), terrain.GRASS, np.uint8)
+        for layer, index in LAYERS.items():
             if layer not in self.masks:
                 continue
             mask = self.masks[layer].astype(bool)
@@ -282,7 +267,7 @@ class Sketch:
                 mask = self._without_slits(self.masks[layer])
             if layer.startswith("pavement") and "verge" in self.masks:
                 mask &= ~self.masks["verge"].astype(bool)
-            picture[mask] = terrain
+            picture[mask] = index
         return picture
 
     def _without_slits(self, mask: ClassImage) -> npt.NDArray[np.bool_]:

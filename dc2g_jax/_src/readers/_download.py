@@ -22,11 +22,10 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.cache import cache_folder
 from dc2g_jax._src.files.resources import resource
 
-#: The authors' files at the pinned commit.
-BASE_URL = "https://raw.githubusercontent.com/mit-acl/dc2g/6f739e1/data/datasets/driveways_bing_iros19/"
-
-#: Mirrors, tried in turn if the address above answers "no such file". Checksums make the source irrelevant.
-OTHER_URLS = (
+#: The authors' files at the pinned commit, and mirrors, tried in turn if the first answers "no such file". Checksums
+#: make the source irrelevant.
+URLS = (
+    "https://raw.githubusercontent.com/mit-acl/dc2g/6f739e1/data/datasets/driveways_bing_iros19/",
     "https://github.com/mit-acl/dc2g/raw/6f739e1/data/datasets/driveways_bing_iros19/",
     "https://raw.githubusercontent.com/mit-acl/dc2g/HEAD/data/datasets/driveways_bing_iros19/",
 )
@@ -36,9 +35,6 @@ FOLDER_NAME = "driveways_bing_iros19"
 ORIGIN = f"data/datasets/{FOLDER_NAME} from github.com/mit-acl/dc2g"
 _MANIFEST_NAME = "driveways_bing_iros19.sha256"
 
-TIMEOUT_SECONDS = 10.0
-#: Time for the server to answer before the network counts as unavailable.
-PROBE_SECONDS = 6.0
 #: Retries per file; pooch waits 1 s before the first and 2 s before the second.
 _RETRIES = 2
 
@@ -69,23 +65,27 @@ def matches_published(folder: Path) -> bool:
 def fetch_dataset(
     cache_dir: str | os.PathLike[str] | None = None,
     *,
-    base_url: str | None = None,
+    urls: Sequence[str] = URLS,
     manifest: Path | None = None,
     progress: bool = True,
+    probe_seconds: float = 6.0,
+    timeout_seconds: float = 10.0,
 ) -> Path:
     """Return the folder of the published dataset, after downloading the files that the cache lacks.
 
     Args:
         cache_dir: folder for downloads; None for `cache_folder()`.
-        base_url: address of the folder of files; None for the authors' repository.
+        urls: addresses of the folder of files, tried in turn.
         manifest: file of checksums that lists the files; None for the package's manifest.
         progress: whether to show a progress bar on the error stream.
+        probe_seconds: time for the server to answer before the network counts as unavailable.
+        timeout_seconds: time for each answer after that.
 
     Returns:
         The folder. Every file in it has been verified in this call.
 
     Raises:
-        NetworkUnavailable: the server does not answer within `PROBE_SECONDS`.
+        NetworkUnavailable: the server does not answer.
         InputError: a file (in the cache or downloaded) does not match the manifest, the server refuses a file, the
             download is interrupted, or the cache folder cannot be read or written.
     """
@@ -94,7 +94,10 @@ def fetch_dataset(
     try:
         missing = _missing(folder, entries)
         if missing:
-            _download(folder, entries, missing, (base_url,) if base_url else (BASE_URL, *OTHER_URLS), progress)
+            # The network is probed first, so that without it the cache is not touched.
+            session = requests.Session()
+            _require_answer(session, urls[0], probe_seconds)
+            _download(session, folder, entries, missing, urls, progress, timeout_seconds)
     except OSError as error:
         raise InputError(
             f"{error.filename or folder}: cannot be used ({error.strerror or error}); set DC2G_CACHE to a folder that "
@@ -116,23 +119,20 @@ def _missing(folder: Path, entries: Mapping[str, str]) -> list[str]:
 
 
 def _download(
-    folder: Path, entries: Mapping[str, str], missing: Collection[str], base_urls: Sequence[str], progress: bool
-) -> None:
-    """Fetch files, one after the other over one connection."""
-    session = requests.Session()
-    # The network is probed first, so that without it the cache is not touched.
-    _require_answer(session, base_urls[0])
+    session: requests.Session, folder: Path, entries: Mapping[str, str], missing: Collection[str],
+    urls: Sequence[str], progress: bool, timeout: float,
+) -> None:  # fmt: skip
 
     def fetch(url: str, file: str, _store: object) -> None:
-        for base_url in base_urls:
-            answer = session.get(url.replace(base_urls[0], base_url), timeout=TIMEOUT_SECONDS)
+        for base_url in urls:
+            answer = session.get(url.replace(urls[0], base_url), timeout=timeout)
             if answer.status_code not in (404, 410):
                 break
         answer.raise_for_status()
         Path(file).write_bytes(answer.content)
 
     pooch.get_logger().setLevel("WARNING")  # the progress bar is enough
-    store = pooch.create(path=folder, base_url=base_urls[0], registry=dict(entries), retry_if_failed=_RETRIES)
+    store = pooch.create(path=folder, base_url=urls[0], registry=dict(entries), retry_if_failed=_RETRIES)
     bar = tqdm(
         total=len(entries),
         initial=len(entries) - len(missing),
@@ -163,7 +163,7 @@ def _download(
         ) from None
 
 
-def _require_answer(session: requests.Session, url: str) -> None:
+def _require_answer(session: requests.Session, url: str, seconds: float) -> None:
     """Check that a server answers, with any status.
 
     The request runs on a thread, because name resolution and attempts at several addresses cannot be interrupted.
@@ -172,15 +172,15 @@ def _require_answer(session: requests.Session, url: str) -> None:
 
     def ask() -> None:
         try:
-            answer.set_result(session.head(url, timeout=PROBE_SECONDS))
+            answer.set_result(session.head(url, timeout=seconds))
         except requests.RequestException as error:
             answer.set_exception(error)
 
     threading.Thread(target=ask, name="dc2g-download-probe", daemon=True).start()
     try:
-        answer.result(PROBE_SECONDS)
+        answer.result(seconds)
     except (TimeoutError, requests.Timeout):
-        reason = f"no answer within {PROBE_SECONDS:g} s"
+        reason = f"no answer within {seconds:g} s"
     except requests.RequestException as error:
         reason = _words(error)
     else:

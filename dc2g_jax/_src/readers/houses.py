@@ -1,7 +1,6 @@
 """Houses as class grids: the published dataset, folders in its format, folders of maps, and procedural houses."""
 
 import collections
-import difflib
 import functools
 import hashlib
 import os
@@ -13,12 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.errors import InputError, check_number, short
-from dc2g_jax._src.files.class_images import (
-    PALETTE_FILE,
-    read_class_image,
-    read_palette,
-)
+from dc2g_jax._src.errors import InputError, check_name, check_number, short
+from dc2g_jax._src.files.class_images import PALETTE_FILE, read_class_image, read_palette
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.own_parts import is_own_part, own_part
@@ -96,19 +91,14 @@ class HouseDataset:
 
     def split(self, split: str) -> tuple[House, ...]:
         """Return the houses of 'train', 'val' or 'test'. Raises InputError for any other split."""
-        if split not in SPLIT_FILES:
-            raise InputError(f"{self.name}: no split is called {split!r}; use one of: {', '.join(SPLIT_FILES)}")
+        check_name(f"split of {self.name}", split, SPLIT_FILES)
         return tuple(house for house in self.houses if house.split == split)
 
     def house(self, name: str) -> House:
         """Return the house of this name. Raises InputError, with the closest names, if there is none."""
-        for house in self.houses:
-            if house.name == name:
-                return house
-        names = [house.name for house in self.houses]
-        close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-        remedy = f"did you mean {' or '.join(close)}?" if close else f"its houses are {', '.join(names[:3])} and so on"
-        raise InputError(f"{self.name}: no house is called {name!r}; {remedy} (--dataset says which houses there are)")
+        houses = {house.name: house for house in self.houses}
+        check_name(f"house of {self.name}", name, houses, "(--dataset says which houses there are)")
+        return houses[name]
 
 
 def stack_worlds(houses: Iterable[House]) -> World:
@@ -195,11 +185,7 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | No
 
 
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
-    """Read a folder of maps of any size, see `readers.maps.read_map_folder`.
-
-    Raises:
-        InputError: the folder contains no maps, or anything in it is missing, damaged or unusable.
-    """
+    """Read a folder of maps of any size, see `readers.maps.read_map_folder`."""
     folder = Path(folder)
     try:
         houses = tuple(House(name, split, terrain) for name, split, terrain in read_map_folder(folder))
@@ -301,12 +287,8 @@ def _is_map_folder(folder: Path) -> bool:
 
 def _check_folder(folder: Path) -> None:
     needed = f"{PALETTE_FILE}, {_IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
-    if not folder.exists():
-        raise InputError(f"{folder}: no such folder; give a folder with {needed}")
-    if not folder.is_dir():
-        raise InputError(f"{folder}: is a file, not a folder; give a folder with {needed}")
-    if not any(folder.iterdir()):
-        raise InputError(f"{folder}: the folder is empty; it needs {needed}")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        raise InputError(f"{folder}: is no folder, or empty; give a folder with {needed}")
     if not any((folder / name).exists() for name in SPLIT_FILES.values()):
         lists = ", ".join(SPLIT_FILES.values())
         raise InputError(

@@ -25,12 +25,7 @@ def _places(found: list[Piece]) -> str:
 
 
 def map_report(terrain: UInt8[np.ndarray, "h w"], cost_to_go: Float[np.ndarray, "h w"]) -> list[str]:
-    """Facts about a map, one per line.
-
-    Args:
-      terrain: class indices.
-      cost_to_go: exact cost-to-go in cells.
-    """
+    """Facts about a map and its exact cost-to-go, one per line."""
     lines = []
     cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
     for index in np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]:
@@ -60,9 +55,7 @@ def map_warnings(terrain: UInt8[np.ndarray, "h w"]) -> list[str]:
 def unlike_training(terrain: UInt8[np.ndarray, "h w"], pixels: tuple[int, int]) -> list[str]:
     """In what a map is unlike those that the shipped network was trained on, one per line; and which `--cells` to try.
 
-    Args:
-      terrain: class indices.
-      pixels: columns and rows of the map's file, which has no finer grid.
+    `pixels` are columns and rows of the map's file, which has no finer grid.
     """
     rows, columns = terrain.shape
     if not np.any(terrain == ROAD):

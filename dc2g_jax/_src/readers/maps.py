@@ -1,6 +1,5 @@
 """User maps as terrain: class images, class arrays and ROS occupancy maps of any size, and folders of them."""
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import UInt8
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
 from dc2g_jax._src.files.reading import check_file, finite_number, read_array
 from dc2g_jax._src.files.tables import read_table, whole_cell
@@ -75,11 +74,7 @@ def read_map(
 
 
 def map_from_classes(
-    classes: npt.ArrayLike,
-    *,
-    goals: Sequence[Goal] = (),
-    cells: tuple[int, int] | None = None,
-    name: str = "the array",
+    classes: npt.ArrayLike, *, goals: Sequence[Goal] = (), cells: tuple[int, int] | None = None, name: str = "the array"
 ) -> UInt8[np.ndarray, "h w"]:
     """A map from an array of class indices in memory, like `read_map`. Messages call it `name`."""
     terrain = _with_goals(name, _sampled_with_doors(name, check_classes(name, classes), cells, goals), goals)
@@ -149,7 +144,6 @@ def _sampled_with_doors(
 
 
 def _grid_size(where: str, shape: tuple[int, ...], cells: int | tuple[int, int] | None) -> tuple[int, int]:
-    """Columns and rows of the grid over an image of this shape."""
     height, width = shape
     columns, rows = (width, height) if cells is None else (cells, cells) if isinstance(cells, int) else cells
     if not (1 <= columns <= width and 1 <= rows <= height):
@@ -169,8 +163,8 @@ def _with_goals(
     ground = TRAVERSABLE[terrain]
     for goal in goals:
         name = f"goal ({goal.x:g}, {goal.y:g})"
-        if not (math.isfinite(goal.x) and math.isfinite(goal.y)):
-            raise InputError(f"{where}: {name} is not finite; give two finite numbers")
+        for number in (goal.x, goal.y):
+            check_number(f"{where}: {name}", number)
         if goal.unit == "meters":
             if occupancy is None:
                 raise InputError(f"{where}: {name} is in meters, which only a ROS map knows; give its column and row")
@@ -199,7 +193,6 @@ def _with_goals(
 
 
 def _nearest_ground(ground: np.ndarray, column: int, row: int) -> str:
-    """Remedy for a goal that is not on traversable ground."""
     rows, columns = np.nonzero(ground)
     if not len(rows):
         return "the map has no traversable ground at all"
@@ -275,11 +268,8 @@ def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
         return goals
     for line, row in read_table(path, ("map", "x", "y", "unit"), remedy="give the goals of maps there"):
         name, unit = row["map"], row["unit"]
-        if name not in names:
-            close = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or sorted(names)[:3]
-            raise InputError(f"{path}: line {line}: {short(name)} is not a map; use {' or '.join(close)}")
-        if unit not in ("cells", "meters"):
-            raise InputError(f"{path}: line {line} has the unit {short(unit)}; write cells or meters")
+        check_name("map", name, names, f"({path}, line {line})")
+        check_name("unit", unit, ("cells", "meters"), f"({path}, line {line})")
         x, y = (finite_number(f"{path}: line {line}: {column!r}", row[column], "write a number") for column in "xy")
         goals.setdefault(name, []).append(Goal(x, y, "cells" if unit == "cells" else "meters"))
     return goals

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt, UInt8
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.files.png import MOST_PIXELS, bands, read_png
 from dc2g_jax._src.files.reading import finite_number, read_bytes, read_yaml
 from dc2g_jax._src.grid.map_frame import MapFrame
@@ -71,15 +71,9 @@ class OccupancyMap:
         return sample_conservatively(pixels, columns, rows)
 
     def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:
-        """Column and row of a point in the map frame, on a grid of this size.
+        """Column and row of a point in the map frame, in meters, on a grid of this size over the map.
 
         They lie beyond the grid for points off the map. `None` if they are too large for numbers.
-
-        Args:
-          x: meters.
-          y: meters.
-          columns: columns of the grid over the map.
-          rows: rows of the grid.
         """
         height, width = self.free.shape
         right, up = (meters / self.resolution for meters in self.origin.to_grid(x, y))
@@ -103,23 +97,18 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
     facts = _read_facts(path)
     image = path.parent / facts["image"]
     resolution = _number(path, "resolution", facts["resolution"])
-    if resolution <= 0:
-        raise InputError(f"{path}: resolution is {resolution}; give the meters of a pixel, such as 0.05")
+    check_number(f"{path}: resolution", resolution, above=0, hint="(meters of a pixel, such as 0.05)")
     origin = facts["origin"]
     if not isinstance(origin, list) or len(origin) != 3:
         raise InputError(f"{path}: origin is {short(origin)}; give [x, y, yaw] in meters and radians")
     frame = MapFrame(*(_number(path, "origin", value) for value in origin))
     free_threshold, occupied_threshold = (_number(path, key, facts[key]) for key in ("free_thresh", "occupied_thresh"))
-    if not 0 <= free_threshold <= occupied_threshold <= 1:
-        raise InputError(
-            f"{path}: free_thresh is {free_threshold} and occupied_thresh {occupied_threshold}; give numbers from 0 to "
-            "1, the first no larger, such as 0.196 and 0.65"
-        )
+    check_number(f"{path}: free_thresh", free_threshold, least=0, most=1)
+    check_number(f"{path}: occupied_thresh", occupied_threshold, least=free_threshold, most=1)
     if facts["negate"] not in (0, 1):
         raise InputError(f"{path}: negate is {short(facts['negate'])}; give 0 where white is free, 1 where black is")
     mode = facts.get("mode", "trinary")
-    if mode not in _MODES:
-        raise InputError(f"{path}: mode is {short(mode)}; write one of {', '.join(_MODES)}")
+    check_name("mode", mode, _MODES, f"({path})")
     levels, highest, opaque = _read_image(image, path, mode)
     shades = np.arange(highest + 1) / highest
     free, occupied = _known_levels(mode, shades, bool(facts["negate"]), free_threshold, occupied_threshold)
@@ -197,13 +186,9 @@ def _read_image(
 ) -> tuple[UInt[np.ndarray, "h w"], int, Bool[np.ndarray, "#h #w"]]:
     """Levels of gray, the level of white, and which pixels are opaque enough to be known.
 
-    Transparency matters as in map_server: in the mode `trinary` it is averaged with the colors, in the mode `scale` all
-    of a pixel has to be opaque, and in the mode `raw` it is ignored.
-
-    Args:
-      path: the image, a binary PGM or a PNG file.
-      named_in: the YAML file that names it.
-      mode: the mode of the map.
+    The image, which the file `named_in` names, is a binary PGM or a PNG file. Transparency matters as in map_server: in
+    the mode `trinary` it is averaged with the colors, in the mode `scale` all of a pixel has to be opaque, and in the
+    mode `raw` it is ignored.
     """
     data = read_bytes(path, f"give the image that {named_in.name} names", at_most=MOST_PIXELS + _LONGEST_HEADER)
     opaque = np.ones((1, 1), bool)

@@ -43,7 +43,6 @@ from dc2g_jax._src.viewer.legend import CostScale
 
 
 def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: CostScale) -> None:
-    """Send the observed map, its layers, and the estimate as images."""
     images = [
         ("map", legend.terrain_context(), 0, frames.terrain),
         ("map/reachable", legend.layer_context(*legend.REACHABLE_LAYER), 1, frames.reachable),
@@ -76,7 +75,6 @@ def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.nd
 
 
 def _send_plan(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
-    """Send the frontier-expanding cells, the candidates, and the path to the chosen subgoal."""
     exploring = (frames.mode == EXPLORE)[:, None, None]
     expanding = rr.Points2D.from_fields(radii=0.18, colors=legend.EXPANDING_COLOR, draw_order=20)
     send_cells(stream, f"{entity}/frontier_expanding", frames.candidates.any(axis=1) & exploring, expanding)
@@ -135,7 +133,6 @@ def _send_episode(
     scale: CostScale,
     color: tuple[int, ...],
 ) -> None:
-    """Send all data of one planner, below the entity of its label."""
     entity = rr.new_entity_path([label])
     _send_maps(stream, entity, frames, scale)
     _send_plan(stream, f"{entity}/plan", frames)
@@ -171,12 +168,7 @@ def _send_house(stream: rr.RecordingStream, house: House, exact: np.ndarray, sca
 
 
 def _layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb.Blueprint:
-    """The first view: the true map, then one column per planner; legend, curves and plan modes on the right.
-
-    Args:
-      shape: rows and columns of the map.
-      estimates: planner -> whether it estimates the cost-to-go.
-    """
+    """The first view: the true map, then one column per planner; legend, curves and plan modes on the right."""
     height, width = shape
     bounds = rrb.VisualBounds2D(x_range=[-0.5, width + 0.5], y_range=[-0.5, height + 0.5])
     entities = {label: rr.new_entity_path([label]) for label in estimates}
@@ -249,20 +241,9 @@ def record_frames(
     result_by_planner: Mapping[str, EpisodeResult],
     frames_by_planner: Mapping[str, Frames],
 ) -> Path:
-    """Write a rerun file (`.rrd`) of replayed episodes from one start.
+    """Write a rerun file (`.rrd`) of replayed episodes from one start, see `record_episode`.
 
-    Args:
-      path: file to write; its folder is created.
-      house: house of the episodes.
-      result_by_planner: label of each planner -> its episode. All have the same start.
-      frames_by_planner: the same labels -> the replays of the episodes.
-
-    Returns:
-      The path.
-
-    Raises:
-      InputError: the file cannot be written.
-      ValueError: the episodes have different starts, or took place in another house.
+    `frames_by_planner` has the labels of `result_by_planner`.
     """
     first = _check(house, result_by_planner)
     exact = exact_cost_to_go(house)

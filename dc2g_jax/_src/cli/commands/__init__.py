@@ -62,7 +62,6 @@ def _show(text: str) -> None:
 
 
 def _run(words: list[str]) -> None:
-    """Run the command that the first or the first two words name."""
     for count in (2, 1):
         name = " ".join(words[:count])
         if name in COMMANDS:
@@ -88,7 +87,6 @@ def _run(words: list[str]) -> None:
 
 
 def _refuse(message: object) -> NoReturn:
-    """Exit with an error message for invalid input."""
     print(f"error: {message}", file=sys.stderr)
     sys.exit(2)
 
