@@ -1,4 +1,4 @@
-# The command dc2g: docker build --tag dc2g . && docker run --rm -v "$PWD:/work" dc2g compare
+# The command dc2g: docker build --tag dc2g . && docker run --rm -v "$PWD:/work" dc2g compare --family procedural
 # For an NVIDIA GPU: --build-arg EXTRAS=all,cuda when it is built, and --gpus all when it is run.
 FROM python:3.13-slim
 

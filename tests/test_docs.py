@@ -32,7 +32,7 @@ _SHELL = re.compile(r"^```bash\n(.*?)^```", flags=re.S | re.M)
 _COMMAND = re.compile(
     rf"(?:python|\bdc2g) (-m experiments\.\w+\b(?!\.)|examples/\w+\.py|(?:{'|'.join(COMMANDS)})(?![\w-]))([^`\n|&#$]*)"
 )
-_NAME = re.compile(r"\bdc2g_jax(?:\.\w+)+")
+_NAME = re.compile(r"(?<!entry-points\.\")\bdc2g_jax(?:\.\w+)+")
 
 
 def page_id(page: Path) -> str:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import check_name, check_number
+from dc2g_jax._src.errors import InputError, check_name, check_number, short
 from tests.support.refusals import refusal
 
 
@@ -54,3 +54,7 @@ def test_of_many_names_those_most_alike_are_listed():
     assert message.startswith("no house is called 'house1'; give one of house0")
     assert message.endswith(", ... (--dataset says which)")
     assert "house000, house001, house002, ..." in refusal(lambda: check_name("house", "yard", known))
+
+
+def test_classes_are_written_without_the_module_that_defines_them():
+    assert short(InputError) == "<class 'InputError'>"

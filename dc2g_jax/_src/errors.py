@@ -6,6 +6,7 @@ import importlib.util
 import math
 import numbers
 import os
+import re
 import reprlib
 import sys
 from collections.abc import Iterable, Iterator
@@ -56,7 +57,8 @@ _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 3, 60, 60, 
 
 def short(value: Any) -> str:
     """A value as in Python, for a message: at most some 60 characters, in little time for values of any size."""
-    text = _SHORT.repr(value)
+    # Where a class is defined is of no use to users.
+    text = re.sub(r"dc2g_jax\._src\.[\w.]*\.", "", _SHORT.repr(value))
     return text if len(text) <= 60 else f"{text[:56]} ..."
 
 
