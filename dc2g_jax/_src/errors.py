@@ -86,16 +86,11 @@ def check_number(
             return
     kind = "a whole number" if whole else "a number"
     if least > -math.inf and most < math.inf:
-        bounds = f" from {_written(least)} to {_written(most)}"
+        bounds = f" from {least:.12g} to {most:.12g}"
     else:
         limits = ((" above", above), (" of at least", least), (" of at most", most))
-        bounds = " and".join(f"{words} {_written(limit)}" for words, limit in limits if math.isfinite(limit))
+        bounds = " and".join(f"{words} {limit:.12g}" for words, limit in limits if math.isfinite(limit))
     raise InputError(f"{name} {short(value)}: give {kind}{bounds}{hint and ' '}{hint}")
-
-
-def _written(limit: float) -> str:
-    """Whole limits with all of their digits."""
-    return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
 def check_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> None:

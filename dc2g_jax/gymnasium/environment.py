@@ -30,7 +30,7 @@ from jaxtyping import Array, Float, Int, UInt8
 from PIL import Image, ImageDraw
 
 from dc2g_jax.datasets import HouseDataset, nearest_start, open_dataset, usable_houses, why_no_start
-from dc2g_jax.environments import FrontDoor, Observation, Params, State, make_env
+from dc2g_jax.environments import FrontDoor, Observation, Params, State, make_env, observe
 from dc2g_jax.grid import CLASS_NAMES, FIGURE_RGB, FORWARD, HEADINGS, Pose, make_pose
 from dc2g_jax.runtime import InputError, check_name, check_number, jit
 
@@ -120,18 +120,18 @@ class _Robots:
         Returns:
           The last observations of the current episodes, rewards, `terminated` and `truncated`.
         """
-        *begun, rewards, info = _step(
-            self.keys, self._states, actions.astype(np.int32), self._params, self._environment
-        )
-        last, terminated, truncated = (
-            info["final_observation"],
-            np.array(info["terminated"]),
-            np.array(info["truncated"]),
-        )
-        if autoreset or not np.any(terminated | truncated):
-            self.keys, self.observations, self._states = begun
+        actions = actions.astype(np.int32)
+        if autoreset:
+            self.keys, self.observations, self._states, rewards, info = _step(
+                self.keys, self._states, actions, self._params, self._environment
+            )
+            last, *ends = (info[name] for name in ("final_observation", "terminated", "truncated"))
         else:
-            self.observations, self._states = last, None
+            last, self._states, rewards, *ends = _advance(self._states, actions, self._params, self._environment)
+            self.observations = last
+        terminated, truncated = map(np.array, ends)
+        if not autoreset and np.any(terminated | truncated):
+            self._states = None
         return last, np.array(rewards, np.float64), terminated, truncated
 
     def seen(self, chosen: Any = ...) -> dict[str, np.ndarray]:
@@ -343,6 +343,13 @@ def _reset(keys: Array, params: Params, environment: FrontDoor) -> tuple[Array, 
     """Begin an episode of every robot; also return the keys for the next ones."""
     keys, own_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
     return keys, *jax.vmap(environment.reset, in_axes=(0, None))(own_keys, params)
+
+
+@_jit
+def _advance(states: State, actions: Int[Array, "robots"], params: Params, environment: FrontDoor) -> tuple[Any, ...]:
+    """Step every robot, without a next episode."""
+    after, *outcome = jax.vmap(environment.advance, in_axes=(0, 0, None))(states, actions, params)
+    return jax.vmap(observe)(after), after, *outcome
 
 
 @_jit
