@@ -49,6 +49,7 @@ from dc2g_jax.inspection import (
 from dc2g_jax.planning import (
     NETWORK_PLANNERS,
     SETTINGS,
+    Bounded,
     Decision,
     Planner,
     RobotPose,
@@ -104,6 +105,11 @@ def _advance(carry: tuple[Belief, Any], world: World, planner: Planner, *, rules
         "view": view_fields(belief, assessment),
     }
     return (gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
+
+
+def _unbounded(planner: Planner) -> Any:
+    """The planner that is bounded, or the planner itself."""
+    return planner.planner if isinstance(planner, Bounded) else planner
 
 
 class Walk:
@@ -178,7 +184,7 @@ class Demo:
     def __init__(self, maps: dict[str, UInt8[np.ndarray, "h w"]], planners: Sequence[str], estimator: Estimator):
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
         self.sensing_range = SETTINGS["paper"].sensing_range
-        usual: Any = planner_with("dc2g", self._rules, estimator)
+        usual = _unbounded(planner_with("dc2g", self._rules, estimator))
         self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
         self.walks: dict[str, Walk] = {}
         self._kept: list[tuple[UInt8[np.ndarray, "h w"], RobotPose]] = []
@@ -279,11 +285,13 @@ class Demo:
 
     def _planner(self, name: str) -> Planner:
         """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
-        planner: Any = planner_with(name, self._rules, self._estimator)
-        if name not in NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
+        planner = planner_with(name, self._rules, self._estimator)
+        usual = _unbounded(planner)
+        if name not in NETWORK_PLANNERS or not getattr(usual, "gain_weight", 0.0):
             return planner
-        selection = dataclasses.replace(planner.selection, distance_weight=self.distance_weight)
-        return dataclasses.replace(planner, selection=selection, gain_weight=self.gain_weight)
+        selection = dataclasses.replace(usual.selection, distance_weight=self.distance_weight)
+        weighted = dataclasses.replace(usual, selection=selection, gain_weight=self.gain_weight)
+        return dataclasses.replace(planner, planner=weighted) if isinstance(planner, Bounded) else weighted
 
     def step(self) -> bool:
         """Step every planner. Returns whether any episode goes on."""

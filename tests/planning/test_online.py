@@ -119,7 +119,7 @@ def test_every_step_of_an_episode_is_that_of_the_batch_planner():
     def plan(planner, grid, pose):
         return planner.plan(belief_from_map(grid, make_pose(*pose)), planner.init(World.from_terrain(grid)))[0]
 
-    batch_planner = planner_with("dc2g", complete_rules(SENSING), BothViews(network()))
+    batch_planner = planner_with("dc2g", complete_rules(SENSING), BothViews(network())).planner
     batch_planner = dataclasses.replace(batch_planner, views=((),))
     terrains, starts = random_worlds(SHAPE, 900, episodes=8)
     for terrain, start in zip(terrains, starts, strict=True):

@@ -47,6 +47,12 @@ class PaddedNetwork(Estimator):
         return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
 
 
+def padded(estimator: Estimator) -> Estimator:
+    """The estimator for maps in a larger grid, if it is a network that has one; else itself."""
+    compact = isinstance(estimator, NetworkCostToGo) and estimator.is_compact
+    return PaddedNetwork(estimator) if compact else estimator
+
+
 def _shrunk(
     grid: UInt8[Array, "h w"], side: int
 ) -> tuple[

@@ -15,8 +15,8 @@ from dc2g_jax._src.grid.poses import PoseSet, every_heading
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import (
-    AssessingPlanner,
     Assessment,
+    Planner,
     explore_or_finish,
     observed_terrain,
     reachable_cells,
@@ -106,7 +106,7 @@ def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, 
 
 
 @struct.dataclass
-class ChoosingPlanner(AssessingPlanner):
+class ChoosingPlanner(Planner):
     """Heads for the frontier-expanding pose of the lowest score, or for the goal once it is reachable.
 
     It keeps to its choice until that pose would reveal nothing more, or enough has been seen since. Nothing is chosen

@@ -43,7 +43,7 @@ from dc2g_jax.grid import (
     moved,
     search,
 )
-from dc2g_jax.planning import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
+from dc2g_jax.planning import EXPLORE, GAVE_UP, TO_GOAL, Planner
 from dc2g_jax.robot.driving._pedestrians import (
     NOWHERE,
     PERSON_RADIUS,
@@ -114,7 +114,7 @@ class Equipment:
       frame_periods: control periods between two camera frames.
     """
 
-    planner: MapRevisingPlanner
+    planner: Planner
     sensing: Kernel = struct.field(pytree_node=False)
     camera: Intrinsics
     mapping: MapSettings
