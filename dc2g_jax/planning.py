@@ -27,7 +27,7 @@ from dc2g_jax._src.planning.named import (
     make_planner as make_planner,
     planner_with as planner_with,
 )
-from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner, view_fields as view_fields
+from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner, view_of as view_of
 from dc2g_jax._src.planning.planners import (
     DC2G as DC2G,
     EXPLORE as EXPLORE,

@@ -54,11 +54,10 @@ from dc2g_jax.planning import (
     Planner,
     RobotPose,
     Rules,
-    View,
     assess,
     decide,
     planner_with,
-    view_fields,
+    view_of,
 )
 from dc2g_jax.runtime import InputError, jit
 
@@ -102,7 +101,7 @@ def _advance(carry: tuple[Belief, Any], world: World, planner: Planner, *, rules
         "pose": (belief.pose.x, belief.pose.y, belief.pose.heading),
         "seen": bitboard.unpack(belief.seen, belief.width),
         "to_goal": jnp.where(oracle.found, oracle.length, -1),
-        "view": view_fields(belief, assessment),
+        "view": view_of(belief, assessment),
     }
     return (gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
 
@@ -143,7 +142,7 @@ class Walk:
             return
         self._carry, looked = _advance(self._carry, self._world, self._planner, rules=self._rules)
         found = jax.device_get(looked)
-        view = View(*found["view"])
+        view = found["view"]
         pose = RobotPose(*map(int, found["pose"]))
         self.moments.append(Moment(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), decide(view, 0, 0)))
 

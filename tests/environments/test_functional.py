@@ -291,6 +291,6 @@ def test_refusals():
         lambda: front_door([*HOUSES, house("walled", WALLED)]), "walled", "no front door can be reached", "leave it"
     )
     refusal(lambda: front_door([*HOUSES, house("narrow", STREET[:, :9])]), "narrow", "street")
-    refusal(lambda: front_door(HOUSES, sensing_range=0), "sensing_range is 0", "from 1 to")
+    refusal(lambda: front_door(HOUSES, sensing_range=0), "sensing_range 0", "from 1 to")
     refusal(lambda: front_door(HOUSES, step_limit=0), "step_limit is 0", "from 1 to")
     refusal(lambda: front_door(HOUSES, step_limit=2**31), "step_limit is 2147483648", "from 1 to 2147483647")

@@ -300,7 +300,7 @@ def test_refused_starts():
 def test_refused_options_and_actions():
     refusal(lambda: FrontDoorEnv(dataset="/nowhere"), "/nowhere", "not a folder")
     refusal(lambda: FrontDoorEnv(**{**SMALL, "split": "training"}), "'training'", "train, val, test")
-    refusal(lambda: FrontDoorEnv(**{**SMALL, "sensing_range": 0}), "sensing_range is 0")
+    refusal(lambda: FrontDoorEnv(**{**SMALL, "sensing_range": 0}), "sensing_range 0")
     refusal(lambda: FrontDoorEnv(**{**SMALL, "step_limit": 0}), "step_limit is 0")
     refusal(lambda: FrontDoorEnv(dataset="procedural", cells=1), "cells is 1", "at least 2")
     refusal(lambda: FrontDoorEnv(**SMALL, render_mode="human"), "'human'", "'rgb_array'")

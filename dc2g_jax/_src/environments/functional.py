@@ -29,7 +29,7 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
+from dc2g_jax._src.grid.sensing import Kernel, check_sensing_range, field_of_view
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, stack_worlds
@@ -234,8 +234,8 @@ def front_door(
         start_count=jnp.asarray(counts, jnp.int32),
         step_limit=jnp.int32(whole_number("step_limit", step_limit, 1, _MAX_STEP_LIMIT)),
     )
-    sensing = field_of_view(whole_number("sensing_range", sensing_range, 1, MAX_SENSING_RANGE))
-    return FrontDoor(sensing, params), params
+    check_sensing_range("sensing_range", sensing_range)
+    return FrontDoor(field_of_view(int(sensing_range)), params), params
 
 
 def whole_number(name: str, value: object, low: int, high: int | None = None) -> int:

@@ -36,6 +36,7 @@ from dc2g_jax._src.planning.planners import (
     assess,
     memoryless,
     plan_to,
+    sensing_of,
 )
 from dc2g_jax._src.planning.rules import Rules
 
@@ -145,6 +146,7 @@ class Bounded(AskingPlanner):
 
     def init(self, world: World) -> BoundedState:
         """The wrapped planner's state. The shadow starts at the first decision, at the robot's pose."""
+        sensing_of(self.planner, self.rules.sensing)
         state = BoundedState(self.planner.init(world), bound=None)
         if max(world.height, world.width) <= self.free_side:
             return state

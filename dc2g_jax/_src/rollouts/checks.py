@@ -16,11 +16,10 @@ from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, every_heading, make_pose
-from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.sensing import Kernel, field_of_view
 from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner
-from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, sensing_of
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.evaluation import action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
@@ -274,12 +273,12 @@ def check_planner(planner: Planner) -> None:
       InputError: the first of these that does not hold, with what was expected and what was found.
     """
     who = _check_tree("planner", planner, "init", "plan")
-    batch = getattr(planner, "batch_per_core", 1)
+    batch = getattr(planner, "batch_per_core", Planner.batch_per_core)
     if not (isinstance(batch, int) and batch > 0):
         raise InputError(f"{who}: batch_per_core is {short(batch)}; expected a number of robots, 1 or more")
     if hasattr(planner, "estimator"):
         check_estimator(planner.estimator)
-    sensing = getattr(planner, "rules", complete_rules(_SENSING_RANGE)).sensing
+    sensing = sensing_of(planner) if hasattr(planner, "rules") else field_of_view(_SENSING_RANGE)
     worlds, episodes = _robots()
     robots_worlds = _one(worlds, episodes.world)
     one_world, one_start = _one((robots_worlds, episodes.start), 0)
@@ -298,15 +297,7 @@ def check_planner(planner: Planner) -> None:
     for number, index in enumerate(episodes.world.tolist()):
         world, start = _one(worlds, index), _one(episodes.start, number)
         acted.append(alone.actions(f"episode {number}", world, start, ground[index]))
-    done = rollout(
-        planner,
-        worlds,
-        episodes,
-        sensing=sensing,
-        step_limit=STEP_LIMIT,
-        slots=_SLOTS,
-        devices=jax.local_devices()[:1],
-    )
+    done = rollout(planner, worlds, episodes, sensing=sensing, slots=_SLOTS, devices=jax.local_devices()[:1])
     for number, letters in enumerate(acted):
         in_batch = action_letters(done, number)
         if letters != in_batch:
@@ -354,7 +345,7 @@ def check_estimator(estimator: Estimator) -> None:
     # Two programs: the second is traced anew.
     estimate, again = (jit(lambda estimator, *arguments: estimator.estimate(*arguments)) for _ in range(2))
     equal = functools.partial(np.allclose, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
-    first_views = gridworld.reset(worlds, episodes.start, complete_rules(_SENSING_RANGE).sensing)
+    first_views = gridworld.reset(worlds, episodes.start, field_of_view(_SENSING_RANGE))
     for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, episodes.start))):
         terrain = extent_of(estimator).part(belief.terrain, belief.pose)
         for of, part, kept in (("one map", _one(terrain, 0), states[0]), (f"{count} maps", terrain, states[1])):
