@@ -5,8 +5,8 @@ from dc2g_jax._src.planning.bounded import Bounded as Bounded
 from dc2g_jax._src.planning.choosing import (
     ChoosingPlanner as ChoosingPlanner,
     Chosen as Chosen,
-    Moment as Moment,
     PoseValues as PoseValues,
+    Situation as Situation,
     at_cells as at_cells,
     exploring_poses as exploring_poses,
     predicted as predicted,
@@ -34,7 +34,6 @@ from dc2g_jax._src.planning.planners import (
     GAVE_UP as GAVE_UP,
     MODE_NAMES as MODE_NAMES,
     TO_GOAL as TO_GOAL,
-    AskingPlanner as AskingPlanner,
     Assessment as Assessment,
     Frontier as Frontier,
     Oracle as Oracle,

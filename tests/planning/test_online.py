@@ -427,7 +427,7 @@ def with_cell(value: int) -> np.ndarray:
         (ROAD[:0], (1, 2, 0), (0, 0), ["(0, 6)", "uint8 [rows columns]"]),
         (np.full((15, 5), 3, np.uint8), (1, 2, 0), (0, 0), ["(15, 5)", "at most 14 rows", "larger"]),
         (np.full((5, 33), 3, np.uint8), (1, 2, 0), (0, 0), ["(5, 33)", "32 columns", "larger"]),
-        (with_cell(16), (0, 0, 0), (0, 0), ["grid[2, 1] 16: give a whole number from 0 to 15", "dc2g_jax.grid.CLASS_NAMES"]),
+        (with_cell(16), (0, 0, 0), (0, 0), ["grid[2, 1] 16", "from 0 to 15", "dc2g_jax.grid.CLASS"]),
         (ROAD, (6, 2, 0), (0, 0), ["(6, 2)", "columns 0 to 5", "origin"]),
         (ROAD, (1, 2, 0), (0, 3), ["(1, 2)", "rows 3 to 7", "origin"]),
         (ROAD, (-1, 2, 0), (0, 0), ["(-1, 2)", "off the map"]),

@@ -49,8 +49,7 @@ class PaddedNetwork(Estimator):
 
 def padded(estimator: Estimator) -> Estimator:
     """The estimator for maps in a larger grid, if it is a network that has one; else itself."""
-    compact = isinstance(estimator, NetworkCostToGo) and estimator.is_compact
-    return PaddedNetwork(estimator) if compact else estimator
+    return PaddedNetwork(estimator) if isinstance(estimator, NetworkCostToGo) and estimator.is_compact else estimator
 
 
 def _shrunk(

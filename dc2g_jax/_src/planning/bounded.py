@@ -27,7 +27,6 @@ from dc2g_jax._src.planning.planners import (
     GAVE_UP,
     TO_GOAL,
     Ask,
-    AskingPlanner,
     Assessment,
     Frontier,
     Plan,
@@ -102,7 +101,7 @@ def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
 
 
 @struct.dataclass
-class Bounded(AskingPlanner):
+class Bounded(Planner):
     """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dc2g_jax._src.errors import InputError, check_number, short
 
 
-def map_of(name: str, cells: npt.ArrayLike, kind: type[np.integer], give: str) -> np.ndarray:
+def map_of(name: str, cells: npt.ArrayLike, kind: type, give: str) -> np.ndarray:
     """The cells of a map as an array, checked to be integers `[rows columns]`, at least one.
 
     Args:

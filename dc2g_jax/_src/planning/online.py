@@ -49,8 +49,9 @@ def view_of(belief: Belief, assessment: Assessment) -> View:
     subgoals, candidates = (
         poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
     )
-    of_score: Any = (assessment.cost_to_go, score, assessment.penalty)
-    return View(distance, assessment.plan.mode, subgoals, candidates, *of_score)
+    mode, cost_to_go, penalty = assessment.plan.mode, assessment.cost_to_go, assessment.penalty
+    traced: Any = (distance, mode, subgoals, candidates, cost_to_go, score, penalty)
+    return View(*traced)
 
 
 @functools.partial(jit, static_argnames=("rules",), compiler_options=ONE_OPERATION_OPTIONS)

@@ -9,7 +9,7 @@ static. So one compiled program serves every checkpoint of the same architecture
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, TypeGuard, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -80,16 +80,25 @@ class Assessment:
     penalty: Float[Array, "h w *batch"] | None = None
 
 
-class Planner:
-    """The interface of a planner: `init` once per world, `plan` once per step, both pure and traced.
+#: Gives the estimator's answer for a belief and a planner's state.
+Ask = Callable[[Belief, Any], Estimates]
 
-    A class with these two methods is a planner, whether it derives from this one or not. Everything else may be left
-    out. Define `plan`; or `assess`, and `plan` returns its decision. A subclass that overrides `plan` is run and shown
-    by that, and what it inherits of `assess` no longer counts.
+
+class Planner:
+    """The interface of a planner. All methods are pure and traced.
+
+    A class with `init` and `plan` is a planner, whether it derives from this one or not. Everything else may be left
+    out. Define one of these; each one calls the next:
+
+    - `plan`, the next action;
+    - `assess`, the same with its inputs, for figures, recordings and `OnlinePlanner`;
+    - `look`, `ask` and `conclude`, for a planner that asks an estimator now and then. A rollout on a CPU runs each
+      robot by itself until it asks, then asks for all robots together: a network needs less time per map in larger
+      batches, and everything else is faster for a single robot.
 
     Attributes:
       batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
-        network, which needs less time per map in larger batches.
+        network.
       knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
         takes what the estimator takes.
     """
@@ -111,37 +120,15 @@ class Planner:
 
     def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
         """Decide the next action, and return the inputs. Compilation removes unused ones."""
-        raise NotImplementedError("a planner needs a method plan or assess")
-
-    def revised(self, state: Any, changed: Board) -> Any:
-        """The state without what is invalid after these cells changed their class, as on maps from a camera."""
-        raise InputError(
-            f"planner {type(self).__name__}: has no method revised, which maps that change need; define it"
-        )
-
-    def memoryless(self) -> "Planner":
-        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
-        return self
-
-
-#: Gives the estimator's answer for a belief and a planner's state.
-Ask = Callable[[Belief, Any], Estimates]
-
-
-class AskingPlanner(Planner):
-    """A planner that asks an estimator now and then, and defines `look`, `ask` and `conclude`.
-
-    A rollout on a CPU runs each robot by itself until it asks, then asks for all robots together: a network needs less
-    time per map in larger batches, and everything else is faster for a single robot.
-    """
+        return self.conclude(belief, state, self.look(belief, state), self.ask)
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
         """Whether the estimator is asked, and what else the decision depends on but its answer."""
-        raise NotImplementedError
+        raise NotImplementedError("a planner needs a method plan")
 
     def ask(self, belief: Belief, state: Any) -> Estimates:
         """The estimator's answer."""
-        raise NotImplementedError
+        raise NotImplementedError("a planner with a method look needs a method ask")
 
     def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
         """Decide the next action.
@@ -152,17 +139,25 @@ class AskingPlanner(Planner):
           looked: the result of `look`.
           ask: `(belief, state) ->` the estimator's answer.
         """
-        raise NotImplementedError
+        raise NotImplementedError("a planner with a method look needs a method conclude")
 
-    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
-        """Decide the next action, and return the inputs."""
-        return self.conclude(belief, state, self.look(belief, state), self.ask)
+    def revised(self, state: Any, changed: Board) -> Any:
+        """The state without what is invalid after these cells changed their class, as on maps from a camera."""
+        raise InputError(f"planner {type(self).__name__}: maps change here, and it has no method revised; define one")
+
+    def memoryless(self) -> "Planner":
+        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
+        return self
 
 
-def asks(planner: Planner) -> TypeGuard[AskingPlanner]:
-    """Whether a planner decides by `conclude`, rather than by a `plan` or `assess` of a subclass."""
-    kind = type(planner)
-    return issubclass(kind, AskingPlanner) and kind.plan is Planner.plan and kind.assess is AskingPlanner.assess
+def _inherits(planner: Planner, *methods: str) -> bool:
+    """Whether these methods of a planner are those of `Planner`."""
+    return all(getattr(type(planner), method, None) is getattr(Planner, method) for method in methods)
+
+
+def asks(planner: Planner) -> bool:
+    """Whether a planner decides by `look`, `ask` and `conclude`."""
+    return _inherits(planner, "plan", "assess")
 
 
 def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
@@ -170,7 +165,7 @@ def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[
 
     For a planner that defines `plan`, the candidates are those of the rules on reachable ground, and the nearest wins.
     """
-    if isinstance(planner, Planner) and type(planner).plan is Planner.plan:
+    if _inherits(planner, "plan"):
         return planner.assess(belief, state)
     plan, state = planner.plan(belief, state)
     reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
@@ -342,7 +337,7 @@ def at_once(ask: Callable[[Array], Estimates], terrain: UInt8[Array, "h w *batch
 
 
 @struct.dataclass
-class DC2G(AskingPlanner):
+class DC2G(Planner):
     """Deep Cost-to-Go (Algorithm 2): go to the frontier-expanding pose with the lowest estimated cost-to-go.
 
     Candidates are the frontier-expanding poses of the rules that reveal something when reached; if there are none, all

@@ -7,7 +7,7 @@ finished robots. Every device serves its own queue. Results do not depend on the
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, TypeGuard
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, AskingPlanner, Plan, Planner, asks, sensing_of
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Plan, Planner, asks, sensing_of
 from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 from dc2g_jax._src.rollouts.devices import (
     deal,
@@ -226,13 +226,13 @@ def _record(state: _State) -> _State:
     )
 
 
-def _until_each_asks(planner: Planner, mesh: Mesh) -> TypeGuard[AskingPlanner]:
+def _until_each_asks(planner: Planner, mesh: Mesh) -> bool:
     """Whether robots run one after another, with robots on the first axis of the slots: see `_alone`."""
     return platform(mesh) == "cpu" and asks(planner)
 
 
 def _alone(
-    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: AskingPlanner, sensing: Kernel, step_limit: int
+    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: Planner, sensing: Kernel, step_limit: int
 ) -> _State:
     """Run robots one after another, each until it asks the estimator, then ask for all of them.
 
