@@ -14,7 +14,7 @@ from dc2g_jax._src.planning.planners import reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax.rivals.recurrent_policy import RecurrentPolicy, block_of_cells, policy_inputs, read_policy
 from tests.oracles import numpy_gridworld as oracle
-from tests.support.exploration import SENSING, belief_of
+from tests.support.exploration import SENSING, belief_of, random_moment
 
 RULES = complete_rules(SENSING)
 

@@ -33,7 +33,7 @@ from dc2g_jax.rivals.sampled_goals import rollout_costs, sampled_cells
 from dc2g_jax.rivals.visible_uncertainty import VisibleUncertainty
 from tests.oracles import numpy_gridworld as oracle
 from tests.planning.test_planners import scattered
-from tests.support.exploration import SENSING, Scattered, belief_of, random_worlds
+from tests.support.exploration import SENSING, Scattered, belief_of, random_moment, random_worlds
 from tests.support.refusals import refusal
 
 RULES = complete_rules(SENSING)
