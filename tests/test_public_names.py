@@ -85,6 +85,11 @@ def test_every_public_name_is_there(name):
     assert not callable(found) or found.__doc__
 
 
+def test_dir_lists_every_public_name_and_module():
+    assert dir(dc2g_jax) == sorted(dc2g_jax.__all__)
+    assert {"__version__", "evaluate", *MODULES} <= set(dir(dc2g_jax))
+
+
 def test_the_reference_lists_every_name():
     page = (ROOT / "docs" / "reference" / "public_names.md").read_text()
     shown = set(re.findall(r"\[dc2g_jax\.[\w.]+\.(\w+)\]", page))

@@ -223,7 +223,7 @@ class RecurrentPolicy(ChoosingPlanner):
     """
 
     replan_fraction: float = struct.field(pytree_node=False, default=0.5)
-    weights: dict[str, Any] = struct.field(default_factory=read_policy)
+    weights: dict[str, Any] = struct.field(default_factory=read_policy, repr=False)
 
     def init(self, world: World) -> Chosen:
         """Nothing is reachable, visited or remembered before the first observation."""

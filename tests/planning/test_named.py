@@ -12,6 +12,7 @@ from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.named import (
     NETWORK_PLANNERS,
     NETWORK_RIVALS,
+    PLANNERS,
     STEP_PATIENCE,
     check_names,
     make_planner,
@@ -43,6 +44,13 @@ def test_make_planner():
     # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     assert planner_with("dc2g", RULES, translator) == DC2G(translator, RULES)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_planner_shows_itself_without_private_modules(name):
+    shown = repr(planner_with(name, RULES, ExactCostToGo()))
+    assert "Kernel(radius=4)" in shown or name == "oracle"
+    assert "_src" not in shown, shown
 
 
 def test_planners_on_a_network_have_the_parameters_that_were_chosen():

@@ -30,8 +30,8 @@ class Rules:
     """
 
     sensing: Kernel
-    frontier_expanding: Callable[[Belief, Board], PoseSet]
-    goal_poses: Callable[[Belief, Board, Board], PoseSet]
+    frontier_expanding: Callable[[Belief, Board], PoseSet] = dataclasses.field(repr=False)
+    goal_poses: Callable[[Belief, Board, Board], PoseSet] = dataclasses.field(repr=False)
     expanding_range: int | None = None
     reach: int | None = None
 
@@ -105,7 +105,7 @@ class Settings:
     name: str
     sensing_range: int
     expanding_range: int | None
-    make_rules: Callable[[int, int | None], Rules]
+    make_rules: Callable[[int, int | None], Rules] = dataclasses.field(repr=False)
 
     def rules(self, sensing_range: int | None = None, expanding_range: int | None = None) -> Rules:
         """The rules for these ranges. `None` stands for the default.
