@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -63,7 +62,6 @@ def _robots() -> tuple[World, Episodes]:
 
 
 def _one(tree: Any, index: Any) -> Any:
-    """One or several members of a batch."""
     return jax.tree.map(lambda leaf: leaf[..., index], tree)
 
 
@@ -94,21 +92,8 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path) or "the value"
 
 
-def _traced(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Shapes and dtypes of what a function returns, without computing it."""
-    try:
-        return jax.eval_shape(function, *arguments)
-    except InputError:
-        raise
-    except Exception as error:
-        first_line = str(error).partition("\n")[0]
-        branches = isinstance(error, jax.errors.TracerBoolConversionError)
-        remedy = "; use jnp.where or jax.lax.cond instead of if, and, or" if branches else ""
-        raise InputError(f"{who}: {what} raises {type(error).__name__}: {first_line}{remedy}") from error
-
-
-def _unchanged(who: str, method: str) -> Callable[..., Any]:
-    """The method of a planner or an estimator, checked not to change its arguments or the object itself."""
+def _traced(who: str, method: str, of: str, tested: Any, *arguments: Any) -> Any:
+    """Types of what a method returns, without computing it, checked to be all that it does."""
 
     def call(tested: Any, *arguments: Any) -> Any:
         before: Any = jax.tree.flatten((tested, arguments))
@@ -118,7 +103,15 @@ def _unchanged(who: str, method: str) -> Callable[..., Any]:
             raise InputError(f"{who}: {method} changes its arguments or itself; expected a pure function")
         return answer
 
-    return call
+    try:
+        return jax.eval_shape(call, tested, *arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        first_line = str(error).partition("\n")[0]
+        branches = isinstance(error, jax.errors.TracerBoolConversionError)
+        remedy = "; use jnp.where or jax.lax.cond instead of if, and, or" if branches else ""
+        raise InputError(f"{who}: {method} for {of} raises {type(error).__name__}: {first_line}{remedy}") from error
 
 
 def _types(tree: Any, weak: bool = False) -> dict[str, str]:
@@ -130,31 +123,24 @@ def _types(tree: Any, weak: bool = False) -> dict[str, str]:
 
 
 def _expect(who: str, what: str, expected: dict[str, str], found: dict[str, str]) -> None:
-    """Check the types of all leaves."""
     for name in expected | found:
         wanted, got = expected.get(name, "no such value"), found.get(name, "missing")
         if wanted != got:
             raise InputError(f"{who}: {what}, {name} is {got}; expected {wanted}")
 
 
-def _batch_of(tree: Any, count: int) -> Any:
-    """The types of a batch, given those of one member: the batch axis comes last."""
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape, count), leaf.dtype), tree)
-
-
 def _check_states(who: str, tested: Any, world: World, worlds: World) -> tuple[Any, Any]:
     """Types of the first state of one robot and of a batch, checked to have the batch axis last."""
-    one, many = (
-        _traced(who, f"init for {of}", _unchanged(who, "init"), tested, given)
-        for of, given in (("one robot", world), ("a batch", worlds))
-    )
-    _expect(who, "state of a batch", _types(_batch_of(one, worlds.goals.shape[-1])), _types(many))
+    one, many = (_traced(who, "init", of, tested, given) for of, given in (("one robot", world), ("a batch", worlds)))
+    count = worlds.goals.shape[-1]
+    expected = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape, count), leaf.dtype), one)
+    _expect(who, "state of a batch", _types(expected), _types(many))
     return one, many
 
 
 def _check_plan(who: str, of: str, planner: Planner, belief: Belief, state: Any) -> None:
     """Check types of the plan and of the state after it, for one robot or a batch."""
-    answer = _traced(who, f"plan for {of}", _unchanged(who, "plan"), planner, belief, state)
+    answer = _traced(who, "plan", of, planner, belief, state)
     if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], Plan)):
         raise InputError(f"{who}: plan returns {short(type(answer).__name__)}; expected a tuple of a Plan and a state")
     number = belief.pose.x
@@ -349,7 +335,7 @@ def check_estimator(estimator: Estimator) -> None:
     for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, episodes.start))):
         terrain = extent_of(estimator).part(belief.terrain, belief.pose)
         for of, part, kept in (("one map", _one(terrain, 0), states[0]), (f"{count} maps", terrain, states[1])):
-            answer = _traced(who, f"estimate of {of}", _unchanged(who, "estimate"), estimator, part, kept)
+            answer = _traced(who, "estimate", of, estimator, part, kept)
             if not jnp.issubdtype(answer.dtype, jnp.floating) or answer.shape[1:] != part.shape or not answer.shape[0]:
                 expected = ", ".join(map(str, ("outcomes", *part.shape)))
                 raise InputError(
