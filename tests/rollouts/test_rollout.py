@@ -11,6 +11,7 @@ from flax import struct
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid.poses import LEFT_ACTION, make_pose
+from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle, asks
@@ -22,6 +23,7 @@ from dc2g_jax._src.rollouts.rollout import NO_ACTION, Episodes, Trajectories, ro
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds
+from tests.support.refusals import refusal
 
 RULES = complete_rules(3)
 SHAPE = (8, 10)
@@ -225,6 +227,14 @@ def test_a_planner_with_a_plan_of_its_own_follows_it(terrains):
     assert not asks(planner)
     assert (done.steps > 0).all()
     assert np.isin(done.actions, [LEFT_ACTION, NO_ACTION]).all()
+
+
+def test_robots_see_what_the_rules_of_their_planner_say(terrains):
+    episodes = some_episodes(terrains, 6, count=3)
+    assert_equal(run(terrains, episodes, sensing=None), run(terrains, episodes, sensing=RULES.sensing))
+    other = field_of_view(RULES.sensing.radius + 1)
+    refusal(lambda: run(terrains, episodes, sensing=other), "planner 'Frontier'", "sensing_range")
+    refusal(lambda: run(terrains, episodes, Oracle(), sensing=None), "planner 'Oracle'", "give sensing")
 
 
 @pytest.mark.release

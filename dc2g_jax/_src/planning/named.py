@@ -5,7 +5,6 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
-from importlib.metadata import EntryPoint
 from typing import Any
 
 from dc2g_jax._src.errors import InputError
@@ -68,12 +67,6 @@ def _on_network(
     )
 
 
-def _by_the_paper(estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> DC2G:
-    """Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance. Its patience never ends."""
-    del patience
-    return DC2G(estimator, rules)
-
-
 def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Bounded:
     """`dc2g` with a bound on its actions (see docs/notebook/bounded.md)."""
     planner = _unbounded(ExpectedCost(distance_weight=0.5), estimator, rules, patience)
@@ -84,13 +77,8 @@ def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
 RIVALS, NETWORK_RIVALS = plugins("planners"), plugins("network_planners")
 
 
-def _rival(point: EntryPoint, rules: Rules) -> Planner:
-    """A planner of a plug-in, imported when it is asked for."""
-    return point.load()(rules)
-
-
 def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> Any:
-    """The same with a network, whose costs are in cells. It has no patience."""
+    """A planner of a plug-in with a network, whose costs are in cells. It has no patience."""
     del patience
     if not answers_in_cells(estimator):
         raise InputError(f"the planner {name!r} needs costs in cells; give another network")
@@ -102,12 +90,13 @@ _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], Planner]] = {
     "oracle": lambda rules: Oracle(),
     "frontier": Frontier,
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
-    **{name: functools.partial(_rival, point) for name, point in RIVALS.items()},
+    **{name: lambda rules, point=point: point.load()(rules) for name, point in RIVALS.items()},
 }
 
 #: Planners with a network, called with the network, the rules and, optionally, their patience.
 NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
-    "dc2g_paper": _by_the_paper,
+    # Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance. Its patience never ends.
+    "dc2g_paper": lambda estimator, rules, patience=ENDLESS: DC2G(estimator, rules),
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
     "dc2g_bounded": _bounded,
