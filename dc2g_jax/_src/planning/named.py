@@ -85,12 +85,11 @@ def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: P
     return NETWORK_RIVALS[name].load()(rules, estimator=estimator)
 
 
-#: Planners without a network, called with the rules.
+#: Planners of the package without a network, called with the rules.
 _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], Planner]] = {
     "oracle": lambda rules: Oracle(),
     "frontier": Frontier,
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
-    **{name: lambda rules, point=point: point.load()(rules) for name, point in RIVALS.items()},
 }
 
 #: Planners with a network, called with the network, the rules and, optionally, their patience.
@@ -154,6 +153,8 @@ def planner_with(
     """
     if name in _PLANNERS_BY_RULES:
         return _PLANNERS_BY_RULES[name](rules)
+    if name in RIVALS:
+        return RIVALS[name].load()(rules)
     if name in NETWORK_PLANNERS and estimator is not None:
         return NETWORK_PLANNERS[name](estimator, rules, patience)
     if name in NETWORK_PLANNERS:
