@@ -5,8 +5,8 @@ from dc2g_jax._src.planning.bounded import Bounded as Bounded
 from dc2g_jax._src.planning.choosing import (
     ChoosingPlanner as ChoosingPlanner,
     Chosen as Chosen,
-    Moment as Moment,
     PoseValues as PoseValues,
+    Situation as Situation,
     at_cells as at_cells,
     exploring_poses as exploring_poses,
     predicted as predicted,
@@ -27,22 +27,19 @@ from dc2g_jax._src.planning.named import (
     make_planner as make_planner,
     planner_with as planner_with,
 )
-from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner, view_fields as view_fields
+from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner, view_of as view_of
 from dc2g_jax._src.planning.planners import (
     DC2G as DC2G,
     EXPLORE as EXPLORE,
     GAVE_UP as GAVE_UP,
     MODE_NAMES as MODE_NAMES,
     TO_GOAL as TO_GOAL,
-    AssessingPlanner as AssessingPlanner,
     Assessment as Assessment,
     Frontier as Frontier,
-    MapRevisingPlanner as MapRevisingPlanner,
     Oracle as Oracle,
     Plan as Plan,
     Planner as Planner,
     assess as assess,
-    assesses as assesses,
     explore_or_finish as explore_or_finish,
     reachable_cells as reachable_cells,
 )

@@ -44,7 +44,7 @@ from dc2g_jax.planning import (
     Rules,
     complete_rules,
 )
-from dc2g_jax.rivals import RecurrentNetwork, RecurrentPolicy, Surroundings
+from dc2g_jax.rivals import PolicyInputs, RecurrentNetwork, RecurrentPolicy
 from dc2g_jax.rollouts import episodes_from, rollout
 
 GAE_DECAY, CLIP, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.95, 0.2, 0.5, 0.5
@@ -95,7 +95,7 @@ class Decided(NamedTuple):
     Attributes:
       noise: Gumbel noise that the next block is drawn with.
       count: decisions in this episode.
-      seen: surroundings.
+      seen: inputs of the policy.
       hidden: state of the recurrent layer before.
       block: the block drawn.
     """
@@ -115,7 +115,7 @@ class Drawing(RecurrentPolicy):
         """Nothing has been decided."""
         state = super().init(world)
         memory, zero = state.estimator, jnp.zeros(world.goals.shape[2:], jnp.int32)
-        notes = Decided(memory.logits, zero, Surroundings.none(zero.shape), memory.hidden, zero)
+        notes = Decided(memory.logits, zero, PolicyInputs.none(zero.shape), memory.hidden, zero)
         return state._replace(estimator=memory._replace(notes=notes))
 
     def prefer(self, seen, memory):

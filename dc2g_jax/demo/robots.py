@@ -66,9 +66,14 @@ def _advance(
         "pose": (belief.pose.x, belief.pose.y, belief.pose.heading),
         "seen": grid.bitboard.unpack(belief.seen, belief.width),
         "to_goal": jnp.where(oracle.found, oracle.length, -1),
-        "view": planning.view_fields(belief, assessment),
+        "view": planning.view_of(belief, assessment),
     }
     return (grid.gridworld.step(world, belief, assessment.plan.action, rules.sensing), state), looked
+
+
+def _unbounded(planner: planning.Planner) -> Any:
+    """The planner that is bounded, or the planner itself."""
+    return planner.planner if isinstance(planner, planning.Bounded) else planner
 
 
 class Walk:
@@ -109,7 +114,7 @@ class Walk:
             return
         self._carry, looked = _advance(self._carry, self._world, self._planner, rules=self._rules)
         found = jax.device_get(looked)
-        view = planning.View(*found["view"])
+        view = found["view"]
         pose = planning.RobotPose(*map(int, found["pose"]))
         self.snapshots.append(
             Snapshot(pose, found["seen"], view.cost_to_go, int(found["to_goal"]), planning.decide(view, 0, 0))
@@ -150,7 +155,7 @@ class Demo:
     def __init__(self, maps: dict[str, UInt8[np.ndarray, "h w"]], planners: Sequence[str], estimator: Estimator):
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
         self.sensing_range = planning.SETTINGS["paper"].sensing_range
-        usual: Any = planning.planner_with("dc2g", self._rules, estimator)
+        usual = _unbounded(planning.planner_with("dc2g", self._rules, estimator))
         self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
         self.walks: dict[str, Walk] = {}
         self._kept: list[tuple[UInt8[np.ndarray, "h w"], planning.RobotPose]] = []
@@ -255,11 +260,13 @@ class Demo:
 
     def _planner(self, name: str) -> planning.Planner:
         """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
-        planner: Any = planning.planner_with(name, self._rules, self._estimator)
-        if name not in planning.NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
+        planner = planning.planner_with(name, self._rules, self._estimator)
+        usual = _unbounded(planner)
+        if name not in planning.NETWORK_PLANNERS or not getattr(usual, "gain_weight", 0.0):
             return planner
-        selection = dataclasses.replace(planner.selection, distance_weight=self.distance_weight)
-        return dataclasses.replace(planner, selection=selection, gain_weight=self.gain_weight)
+        selection = dataclasses.replace(usual.selection, distance_weight=self.distance_weight)
+        weighted = dataclasses.replace(usual, selection=selection, gain_weight=self.gain_weight)
+        return dataclasses.replace(planner, planner=weighted) if isinstance(planner, planning.Bounded) else weighted
 
     def step(self) -> bool:
         """Step every planner. Returns whether any episode goes on."""

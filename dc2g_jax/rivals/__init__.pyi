@@ -7,9 +7,9 @@ from .learned_subgoals import LearnedSubgoals as LearnedSubgoals
 from .next_best_view import NextBestView as NextBestView
 from .random_frontier import RandomFrontier as RandomFrontier
 from .recurrent_policy import (
+    PolicyInputs as PolicyInputs,
     RecurrentNetwork as RecurrentNetwork,
     RecurrentPolicy as RecurrentPolicy,
-    Surroundings as Surroundings,
     read_policy as read_policy,
 )
 from .right_hand import RightHand as RightHand

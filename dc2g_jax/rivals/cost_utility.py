@@ -3,7 +3,7 @@
 from flax import struct
 
 from dc2g_jax.grid import Belief
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, unknown_share
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation, unknown_share
 
 
 @struct.dataclass
@@ -21,7 +21,7 @@ class CostUtility(ChoosingPlanner):
 
     beta: float = struct.field(pytree_node=False, default=0.03)
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Weighted cost less utility."""
         radius = self.rules.sensing.radius
-        return self.beta / radius * moment.distance - unknown_share(belief, radius)
+        return self.beta / radius * situation.distance - unknown_share(belief, radius)

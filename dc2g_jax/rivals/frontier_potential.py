@@ -5,7 +5,7 @@ from flax import struct
 
 from dc2g_jax.estimation import Estimator
 from dc2g_jax.grid import Belief
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted, unknown_share
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation, predicted, unknown_share
 
 
 @struct.dataclass
@@ -29,9 +29,9 @@ class FrontierPotential(ChoosingPlanner):
     alpha: float = struct.field(pytree_node=False, default=0.5)
     farthest: float = struct.field(pytree_node=False, default=50.0)
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Minus the potential of the cell; of its poses, the nearest wins."""
-        cost = jnp.mean(predicted(self.estimator, belief, moment.estimator), axis=0)
+        cost = jnp.mean(predicted(self.estimator, belief, situation.estimator), axis=0)
         area = unknown_share(belief, 2 * self.rules.sensing.radius)
         goal = jnp.maximum(0.0, 1 - cost / self.farthest)
-        return jnp.broadcast_to(-(self.alpha * area + (1 - self.alpha) * goal), moment.distance.shape)
+        return jnp.broadcast_to(-(self.alpha * area + (1 - self.alpha) * goal), situation.distance.shape)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from dc2g_jax.grid import Belief, poses
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation
 
 
 @struct.dataclass
@@ -22,7 +22,7 @@ class Hysteresis(ChoosingPlanner):
     replan_fraction: float = struct.field(pytree_node=False, default=0.0)
     margin: float = struct.field(pytree_node=False, default=3.0)
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Actions to the pose, less the margin for the last choice."""
-        kept = poses.unpack(moment.kept, belief.width)
-        return moment.distance.astype(jnp.float32) - self.margin * kept
+        kept = poses.unpack(situation.kept, belief.width)
+        return situation.distance.astype(jnp.float32) - self.margin * kept

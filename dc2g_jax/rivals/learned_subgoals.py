@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.estimation import Estimator
 from dc2g_jax.grid import Belief
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation, predicted
 from dc2g_jax.rivals.regions import find_regions
 
 
@@ -82,11 +82,11 @@ class LearnedSubgoals(ChoosingPlanner):
     #: With more, the long program of a choice would be compiled for several batch sizes.
     batch_per_core: ClassVar[int] = 8
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """The expected cost at the best cell of each piece of the frontier."""
-        outcomes = predicted(self.estimator, belief, moment.estimator)
+        outcomes = predicted(self.estimator, belief, situation.estimator)
         mean = jnp.mean(outcomes, axis=0)
-        regions = find_regions(belief, moment, mean + jnp.min(moment.distance, axis=0))
+        regions = find_regions(belief, situation, mean + jnp.min(situation.distance, axis=0))
         costs = expected_costs(
             regions.start,
             regions.between,

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from dc2g_jax.grid import Belief
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, unseen
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation, unseen
 
 
 @struct.dataclass
@@ -21,7 +21,7 @@ class NextBestView(ChoosingPlanner):
 
     discount: float = struct.field(pytree_node=False, default=0.1)
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Minus the logarithm of the gain."""
         gain = self.rules.sensing.count_seen(unseen(belief), belief.opaque, belief.width)
-        return self.discount * moment.distance - jnp.log(gain.astype(jnp.float32))
+        return self.discount * situation.distance - jnp.log(gain.astype(jnp.float32))

@@ -5,7 +5,7 @@ from flax import struct
 from jaxtyping import Array, UInt32
 
 from dc2g_jax.grid import Belief, bitboard
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation
 
 
 def _mixed(number: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
@@ -23,7 +23,7 @@ class RandomFrontier(ChoosingPlanner):
     an episode can be repeated.
     """
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """A random number of every cell."""
         salt = jnp.zeros_like(belief.pose.x).astype(jnp.uint32)
         for number in (belief.pose.x, belief.pose.y, belief.pose.heading, bitboard.count(belief.seen)):
@@ -31,4 +31,4 @@ class RandomFrontier(ChoosingPlanner):
         shape = (belief.height, belief.width, *(1 for _ in salt.shape))
         cell = jnp.arange(belief.height * belief.width, dtype=jnp.uint32).reshape(shape)
         numbers = _mixed(cell ^ salt) >> 8  # a float holds 24 bits exactly
-        return jnp.broadcast_to(numbers.astype(jnp.float32), moment.distance.shape)
+        return jnp.broadcast_to(numbers.astype(jnp.float32), situation.distance.shape)

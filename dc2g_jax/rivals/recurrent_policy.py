@@ -26,7 +26,7 @@ from dc2g_jax.grid import (
     bitboard,
     poses,
 )
-from dc2g_jax.planning import Assessment, ChoosingPlanner, Chosen, Moment, PoseValues, at_cells, frontiers
+from dc2g_jax.planning import Assessment, ChoosingPlanner, Chosen, PoseValues, Situation, at_cells, frontiers
 
 #: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
 #: the middle one of the next.
@@ -47,7 +47,7 @@ _SHIPPED = resource("weights/recurrent_policy.safetensors")
 _GARAGE_DOOR = CLASS_NAMES.index("garage door")
 
 
-class Surroundings(NamedTuple):
+class PolicyInputs(NamedTuple):
     """What the policy sees.
 
     Attributes:
@@ -62,7 +62,7 @@ class Surroundings(NamedTuple):
     present: Bool[Array, "block *batch"]
 
     @classmethod
-    def none(cls, batch: tuple[int, ...]) -> "Surroundings":
+    def none(cls, batch: tuple[int, ...]) -> "PolicyInputs":
         """Before the first look, for a batch of robots."""
         numbers = _PLANES, _PLANES * len(_RADII) + _NUMBERS
         shares, subgoals = (jnp.zeros((BLOCKS, size, *batch), jnp.float32) for size in numbers)
@@ -88,7 +88,7 @@ class Memory(NamedTuple):
 
 
 class RecurrentNetwork(nnx.Module):
-    """A gated recurrent unit on the surroundings; its state and each subgoal's numbers rate the subgoal."""
+    """A gated recurrent unit on the inputs; its state and each subgoal's numbers rate the subgoal."""
 
     #: Units of the recurrent layer.
     UNITS: ClassVar[int] = 64
@@ -107,7 +107,7 @@ class RecurrentNetwork(nnx.Module):
         seen = jax.nn.relu(self.look(shares.reshape(*shares.shape[:-2], -1)))
         return self.memory(hidden, seen)[0]
 
-    def rate(self, hidden: Float[Array, "... unit"], seen: Surroundings) -> Float[Array, "... block"]:
+    def rate(self, hidden: Float[Array, "... unit"], seen: PolicyInputs) -> Float[Array, "... block"]:
         """Logit of each block, very low for those without a candidate. Axes of the batch come first."""
         block = jnp.broadcast_to(jnp.eye(BLOCKS), (*seen.present.shape, BLOCKS))
         numbers = jnp.concatenate([seen.shares, seen.subgoals, block], axis=-1)
@@ -145,28 +145,28 @@ def block_of_cells(pose: Pose, height: int, width: int) -> Int[Array, "h w *batc
     return jnp.where(far <= 1, 4, block)
 
 
-def _planes(belief: Belief, moment: Moment) -> Bool[Array, "plane h w *batch"]:
+def _planes(belief: Belief, situation: Situation) -> Bool[Array, "plane h w *batch"]:
     """Unknown; observed: obstacles, houses, driveways, paths, other ground, goals; visited; candidates."""
     houses = belief.of_class(HOUSE) | belief.of_class(_GARAGE_DOOR)
     driveways, paths = belief.of_class(DRIVEWAY), belief.of_class(PATH)
     boards = (
         frontiers.unseen(belief), belief.seen & ~belief.traversable & ~houses, houses, driveways, paths,
-        belief.traversable & ~driveways & ~paths & ~belief.goals, belief.goals, moment.estimator.visited,
-        poses.occupied(moment.candidates),
+        belief.traversable & ~driveways & ~paths & ~belief.goals, belief.goals, situation.estimator.visited,
+        poses.occupied(situation.candidates),
     )  # fmt: skip
     return jnp.stack([bitboard.unpack(board, belief.width) for board in boards])
 
 
-def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surroundings:
+def policy_inputs(belief: Belief, situation: Situation, sensing: Kernel) -> PolicyInputs:
     """What the policy sees.
 
     Args:
       belief: belief of the robot.
-      moment: what the planner chooses from; its estimator's state is a `Memory`.
+      situation: what the planner chooses from; its estimator's state is a `Memory`.
       sensing: the robot's field of view.
     """
     height, width, batch = belief.height, belief.width, belief.pose.x.ndim
-    sums = jnp.cumsum(jnp.cumsum(_planes(belief, moment), axis=1, dtype=jnp.int32), axis=2)
+    sums = jnp.cumsum(jnp.cumsum(_planes(belief, situation), axis=1, dtype=jnp.int32), axis=2)
     sums = jnp.pad(sums, [(0, 0), (1, 0), (1, 0), *[(0, 0)] * batch])
 
     def shares(x: Array, y: Array, radius: Int[np.ndarray, "block"]) -> Float[Array, "block plane *batch"]:
@@ -188,8 +188,8 @@ def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surrounding
     y = belief.pose.y + ahead * ahead_y + right * right_y
 
     # The nearest candidate of each block: of equal ones, the first.
-    eligible = poses.unpack(moment.candidates, width) & (moment.distance >= 0)
-    actions = jnp.where(eligible, moment.distance, jnp.iinfo(jnp.int32).max)
+    eligible = poses.unpack(situation.candidates, width) & (situation.distance >= 0)
+    actions = jnp.where(eligible, situation.distance, jnp.iinfo(jnp.int32).max)
     block = block_of_cells(belief.pose, height, width)
     inside = block == jnp.arange(BLOCKS).reshape(-1, *(1,) * block.ndim)
     within = jnp.where(inside, jnp.min(actions, axis=0), jnp.iinfo(jnp.int32).max).reshape(BLOCKS, -1, *block.shape[2:])
@@ -201,7 +201,7 @@ def surroundings(belief: Belief, moment: Moment, sensing: Kernel) -> Surrounding
     numbers = present, distance / 100, jnp.log1p(distance) / 5, revealed.astype(jnp.int32) / 50
     around = [shares(there_x, there_y, np.full(BLOCKS, radius)) for radius in _RADII]
     subgoals = jnp.concatenate([*around, jnp.stack(numbers, axis=1).astype(jnp.float32)], axis=1)
-    return Surroundings(shares(x, y, _SIDES // 2), jnp.where(present[:, None], subgoals, 0), present)
+    return PolicyInputs(shares(x, y, _SIDES // 2), jnp.where(present[:, None], subgoals, 0), present)
 
 
 @struct.dataclass
@@ -223,7 +223,7 @@ class RecurrentPolicy(ChoosingPlanner):
     """
 
     replan_fraction: float = struct.field(pytree_node=False, default=0.5)
-    weights: dict[str, Any] = struct.field(default_factory=read_policy)
+    weights: dict[str, Any] = struct.field(default_factory=read_policy, repr=False)
 
     def init(self, world: World) -> Chosen:
         """Nothing is reachable, visited or remembered before the first observation."""
@@ -231,8 +231,8 @@ class RecurrentPolicy(ChoosingPlanner):
         hidden, logits = (jnp.zeros((size, *zero.shape), jnp.float32) for size in (RecurrentNetwork.UNITS, BLOCKS))
         return super().init(world)._replace(estimator=Memory(nothing, hidden, logits, Pose(zero, zero, zero)))
 
-    def prefer(self, seen: Surroundings, memory: Memory) -> Memory:
-        """The memory after a look at the surroundings, with the preference for each block."""
+    def prefer(self, seen: PolicyInputs, memory: Memory) -> Memory:
+        """The memory after a look at the inputs, with the preference for each block."""
         network = with_weights(RecurrentNetwork, RecurrentNetwork.UNITS, self.weights)
         count = seen.present.ndim - 1
 
@@ -245,14 +245,14 @@ class RecurrentPolicy(ChoosingPlanner):
         logits = network.rate(hidden, seen)
         return memory._replace(hidden=jnp.moveaxis(hidden, -1, 0), logits=jnp.moveaxis(logits, -1, 0))
 
-    def prepare(self, belief: Belief, moment: Moment) -> Memory:
-        """Look at the surroundings before a choice."""
-        seen = surroundings(belief, moment, self.rules.sensing)
-        return self.prefer(seen, moment.estimator)._replace(pose=belief.pose)
+    def prepare(self, belief: Belief, situation: Situation) -> Memory:
+        """Look around before a choice."""
+        seen = policy_inputs(belief, situation, self.rules.sensing)
+        return self.prefer(seen, situation.estimator)._replace(pose=belief.pose)
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Minus the preference for the pose's block at the last choice."""
-        memory = moment.estimator
+        memory = situation.estimator
         block = block_of_cells(memory.pose, belief.height, belief.width)
         flat = jnp.take_along_axis(memory.logits, block.reshape(-1, *block.shape[2:]), axis=0)
         return -jnp.broadcast_to(flat.reshape(block.shape), (HEADINGS, *block.shape))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.grid import Belief, Pose, bitboard, poses, search
-from dc2g_jax.planning import Moment, PoseValues, at_cells, frontiers
+from dc2g_jax.planning import PoseValues, Situation, at_cells, frontiers
 
 #: Pieces of the frontier that are looked at, at most. Plans are made over all orders of them.
 MOST_REGIONS = 5
@@ -46,17 +46,17 @@ class Regions(NamedTuple):
         return jnp.broadcast_to(score, (poses.HEADINGS, *score.shape))
 
 
-def find_regions(belief: Belief, moment: Moment, cost: Float[Array, "h w *batch"]) -> Regions:
+def find_regions(belief: Belief, situation: Situation, cost: Float[Array, "h w *batch"]) -> Regions:
     """The pieces of the frontier whose best cells have the lowest cost, in its order.
 
     Frontier cells belong together if at most one cell lies between them.
 
     Args:
       belief: belief of the robot.
-      moment: what the planner chooses from.
+      situation: what the planner chooses from.
       cost: cost of every cell.
     """
-    left = frontiers.frontier_cells(belief, moment.reachable) & poses.occupied(moment.candidates)
+    left = frontiers.frontier_cells(belief, situation.reachable) & poses.occupied(situation.candidates)
     found = []
     for _ in range(MOST_REGIONS):
         open_cells = bitboard.unpack(left, belief.width)
@@ -66,12 +66,12 @@ def find_regions(belief: Belief, moment: Moment, cost: Float[Array, "h w *batch"
         seed = bitboard.single(x, y, *left.shape[:2])
         left = left & ~bitboard.flood(seed, left | bitboard.neighbors(left))
     present, x, y = (jnp.stack(values) for values in zip(*found, strict=True))
-    actions = jnp.min(jnp.where(moment.distance >= 0, moment.distance, moment.distance.size), axis=0)
+    actions = jnp.min(jnp.where(situation.distance >= 0, situation.distance, situation.distance.size), axis=0)
     regions = Regions(present, x, y, jnp.zeros(x.shape), jnp.zeros((MOST_REGIONS, *x.shape)))
     # One search for all regions: their axis is the last of the batch.
     last = [jnp.moveaxis(values, 0, -1) for values in (x, y)]
-    ground = jnp.broadcast_to(moment.reachable[..., None], (*moment.reachable.shape, MOST_REGIONS))
+    ground = jnp.broadcast_to(situation.reachable[..., None], (*situation.reachable.shape, MOST_REGIONS))
     ways = search.distances(Pose(last[0], last[1], jnp.zeros_like(last[0])), ground, belief.width)
-    ways = jnp.min(jnp.where(ways >= 0, ways, moment.distance.size), axis=0)
+    ways = jnp.min(jnp.where(ways >= 0, ways, situation.distance.size), axis=0)
     between = jnp.stack([regions.at(ways[..., number]) for number in range(MOST_REGIONS)])
     return regions._replace(start=regions.at(actions).astype(jnp.float32), between=between.astype(jnp.float32))

@@ -25,9 +25,9 @@ from dc2g_jax.grid import (
 from dc2g_jax.planning import (
     EXPLORE,
     TO_GOAL,
-    AssessingPlanner,
     Assessment,
     Plan,
+    Planner,
     Rules,
     explore_or_finish,
     exploring_poses,
@@ -56,7 +56,7 @@ class Walk(NamedTuple):
 
 
 @struct.dataclass
-class RightHand(AssessingPlanner):
+class RightHand(Planner):
     """Goes straight on to a wall and follows it, right hand on it, until it sees the goal and a way there.
 
     The rule, which is folklore, finds every goal beside the outer wall of a maze, but circles islands forever. A robot

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.estimation import Estimator
 from dc2g_jax.grid import Belief, bitboard
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted, unseen
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation, predicted, unseen
 from dc2g_jax.rivals.regions import find_regions
 
 
@@ -91,10 +91,10 @@ class SampledGoals(ChoosingPlanner):
     #: With more, the long program of a choice would be compiled for several batch sizes.
     batch_per_core: ClassVar[int] = 8
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """The mean cost of the simulations, at the best cell of each piece of the frontier."""
-        mean = jnp.mean(predicted(self.estimator, belief, moment.estimator), axis=0)
-        regions = find_regions(belief, moment, mean + jnp.min(moment.distance, axis=0))
+        mean = jnp.mean(predicted(self.estimator, belief, situation.estimator), axis=0)
+        regions = find_regions(belief, situation, mean + jnp.min(situation.distance, axis=0))
         least = jnp.min(mean, axis=(0, 1))
         unknown = bitboard.unpack(unseen(belief), belief.width)
         weights = jnp.where(unknown, jnp.exp((least - mean) / self.temperature), 0)

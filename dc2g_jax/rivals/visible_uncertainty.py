@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.estimation import Estimator
 from dc2g_jax.grid import Belief, bitboard
-from dc2g_jax.planning import ChoosingPlanner, Moment, PoseValues, predicted, unseen
+from dc2g_jax.planning import ChoosingPlanner, PoseValues, Situation, predicted, unseen
 
 #: Bits of the whole numbers that uncertainties are rounded to, so that they can be added over fields of view.
 _BITS = 4
@@ -39,9 +39,9 @@ class VisibleUncertainty(ChoosingPlanner):
             total += 2**bit * self.rules.sensing.count_seen(cells, belief.opaque, belief.width).astype(jnp.float32)
         return jnp.asarray(total / steps)
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Minus the uncertainty in view over the distance."""
-        spread = jnp.std(predicted(self.estimator, belief, moment.estimator), axis=0)
+        spread = jnp.std(predicted(self.estimator, belief, situation.estimator), axis=0)
         largest = jnp.max(spread, axis=(0, 1))
         relative = jnp.where(largest > 0, spread / jnp.where(largest > 0, largest, 1), 1.0)
-        return -self._in_view(belief, relative) / jnp.maximum(moment.distance, 1)
+        return -self._in_view(belief, relative) / jnp.maximum(situation.distance, 1)

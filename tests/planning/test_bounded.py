@@ -1,5 +1,7 @@
 """Whatever a planner decides, the bound holds; checked by replaying the actions in plain NumPy."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +15,8 @@ from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.grid.streets import in_town, is_town
 from dc2g_jax._src.grid.terrain import GRASS, ROAD
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.bounded import Bounded, BoundedState, CautiousDC2G
+from dc2g_jax._src.planning.bounded import Bounded
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
@@ -140,6 +143,11 @@ def test_without_slack_the_actions_are_those_of_frontier_exploration():
     np.testing.assert_array_equal(done.actions, alone.actions)
 
 
+def bounded_in_towns(planner: DC2G) -> Bounded:
+    """As `dc2g` is."""
+    return dataclasses.replace(planner_with("dc2g", COMPLETE, Scattered()), planner=planner)
+
+
 @pytest.mark.slow
 def test_dc2g_is_bounded_in_towns_alone():
     terrains, starts = misleading_worlds((14, 99), 900, EPISODES // 2)
@@ -148,14 +156,15 @@ def test_dc2g_is_bounded_in_towns_alone():
     assert len(towns) > EPISODES / 6
     alone, frontier, cautious = (
         run(planner, terrains[towns], [starts[number] for number in towns], step_limit=4000)
-        for planner in (DC2G(Scattered(), COMPLETE), Frontier(COMPLETE), CautiousDC2G(Scattered(), COMPLETE))
+        for planner in (DC2G(Scattered(), COMPLETE), Frontier(COMPLETE), bounded_in_towns(DC2G(Scattered(), COMPLETE)))
     )
     most = 2.5 * frontier.steps + 50
     assert np.any(alone.steps > most)
     assert np.all(cautious.success & (cautious.steps <= most))
     assert np.any(cautious.steps != frontier.steps)
     terrains, starts = misleading_worlds(SHAPE, 900, EPISODES)
-    alone, cautious = (run(kind(Scattered(), COMPLETE), terrains, starts) for kind in (DC2G, CautiousDC2G))
+    alone = DC2G(Scattered(), COMPLETE)
+    alone, cautious = (run(planner, terrains, starts) for planner in (alone, bounded_in_towns(alone)))
     np.testing.assert_array_equal(cautious.actions, alone.actions)
 
 
@@ -167,9 +176,9 @@ def test_only_maps_larger_than_those_of_its_network_can_be_towns():
     assert in_town(belief)
     for side in (40, 60):
         network = random_network(Architecture(widths=(4, 4), side=side))
-        planner = CautiousDC2G(network, COMPLETE, magnifies=True)
-        extent = planner._extent(belief)
-        assert isinstance(planner.init(belief), BoundedState) == (side < 60)
+        planner = planner_with("dc2g", COMPLETE, network)
+        extent = planner.planner._extent(belief)
+        assert (planner.init(belief).bound is not None) == (side < 60)
         if side < 60:
             assert (extent.side, extent.prior) == (40, 40.0)
         else:
@@ -192,12 +201,12 @@ def test_the_shadow_explores_as_frontier_does_by_so_many_actions_a_decision(stre
     decide, explore = jax.jit(planner.plan), jax.jit(Frontier(COMPLETE).plan)
     for number in range(1, 3):
         _, state = decide(everything, state)
-        assert int(state.shadow.steps) == number * virtual_steps - 1
+        assert int(state.bound.shadow.steps) == number * virtual_steps - 1
         while len(at) < number * virtual_steps:
             plan, reachable = explore(alone, reachable)
             alone = gridworld.step(world, alone, plan.action, COMPLETE.sensing)
             at.append(alone.pose)
-        jax.tree.map(np.testing.assert_array_equal, state.shadow.pose, at[-1])
+        jax.tree.map(np.testing.assert_array_equal, state.bound.shadow.pose, at[-1])
 
 
 def test_the_assessment_describes_the_plan_that_is_carried_out(street):
@@ -211,7 +220,7 @@ def test_the_assessment_describes_the_plan_that_is_carried_out(street):
     jax.tree.map(np.testing.assert_array_equal, assessment.plan, plan)
     np.testing.assert_array_equal(assessment.score, wrapped.score)
     np.testing.assert_array_equal(assessment.candidates, wrapped.candidates)
-    assert bool(later.led)
+    assert bool(later.bound.led)
     assert int(plan.length) == 1
 
 
@@ -220,9 +229,9 @@ def test_no_bound_is_left_on_a_map_whose_cells_changed(street):
     world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(8, 4, 2), COMPLETE.sensing)
     _, state = planner.plan(belief, planner.init(world))
-    nothing = jnp.zeros_like(state.shadow.seen)
+    nothing = jnp.zeros_like(state.bound.shadow.seen)
     same, other = planner.revised(state, nothing), planner.revised(state, nothing.at[0, 4].set(1))
-    jax.tree.map(np.testing.assert_array_equal, same[1:], state[1:])
+    jax.tree.map(np.testing.assert_array_equal, same.bound, state.bound)
     for revised, is_free in ((same, False), (other, True)):
         wrapped, _ = planner.planner.plan(belief, revised.planner)
         plan, _ = planner.plan(belief, revised)

@@ -6,10 +6,12 @@ import pytest
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
-from dc2g_jax._src.planning.bounded import Bounded, CautiousDC2G
+from dc2g_jax._src.grid.streets import in_town
+from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.named import (
     NETWORK_PLANNERS,
     NETWORK_RIVALS,
+    PLANNERS,
     STEP_PATIENCE,
     check_names,
     make_planner,
@@ -44,19 +46,27 @@ def test_make_planner():
     assert planner_with("dc2g", RULES, translator) == DC2G(translator, RULES)
 
 
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_planner_shows_itself_without_private_modules(name):
+    shown = repr(planner_with(name, RULES, ExactCostToGo()))
+    assert "Kernel(radius=4)" in shown or name == "oracle"
+    assert "_src" not in shown, shown
+
+
 def test_planners_on_a_network_have_the_parameters_that_were_chosen():
     names = ("dc2g_paper", "dc2g", "dc2g_uncertain", "dc2g_bounded")
     paper, dc2g, uncertain, bounded = (NETWORK_PLANNERS[name](ExactCostToGo(), RULES) for name in names)
     assert paper == DC2G(ExactCostToGo(), RULES)
-    assert dc2g.selection == ExpectedCost(distance_weight=0.5)
-    assert uncertain == dataclasses.replace(dc2g, selection=QuantileCost(level=0.7, distance_weight=0.5))
-    alone = NETWORK_PLANNERS["dc2g"](ExactCostToGo(), dc2g.rules, STEP_PATIENCE, DC2G)
-    assert isinstance(dc2g, CautiousDC2G)
-    assert all(getattr(dc2g, field.name) == getattr(alone, field.name) for field in dataclasses.fields(DC2G))
+    alone = dc2g.planner
+    assert alone.selection == ExpectedCost(distance_weight=0.5)
+    assert (alone.rim_width, alone.views, alone.gain_weight, alone.replan_fraction) == (1, ((), (1,)), 3.0, 1 / 3)
+    of_towns = {"factor": 2.5, "slack": 0.0, "actions": 50.0, "renewed": 0.3, "where": in_town, "free_side": 50}
+    assert dc2g == Bounded(alone, alone.rules, **of_towns)
+    quantile = dataclasses.replace(alone, selection=QuantileCost(level=0.7, distance_weight=0.5))
+    assert uncertain == dataclasses.replace(dc2g, planner=quantile)
     assert bounded == Bounded(alone, alone.rules, factor=2.0, slack=3.0)
     # Where a decision is not an action, there is no bound on actions.
     assert type(NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, ENDLESS)) is DC2G
-    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.replan_fraction) == (1, ((), (1,)), 3.0, 1 / 3)
 
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():

@@ -19,7 +19,18 @@ from dc2g_jax._src.grid.terrain import OPAQUE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.frontiers import facing_most
 from dc2g_jax._src.planning.named import planner_with
-from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
+from dc2g_jax._src.planning.planners import (
+    DC2G,
+    EXPLORE,
+    GAVE_UP,
+    MODE_NAMES,
+    TO_GOAL,
+    Frontier,
+    Oracle,
+    Planner,
+    any_heading,
+    assess,
+)
 from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
 from dc2g_jax._src.rollouts.evaluation import action_letters
@@ -31,6 +42,7 @@ from tests.support.exploration import (
     EXPANDING,
     SENSING,
     STEP_LIMIT,
+    LowestColumn,
     Scattered,
     belief_of,
     random_moment,
@@ -401,6 +413,27 @@ def test_what_is_left_of_a_state_on_a_map_that_has_changed():
     assert Frontier(RULES["complete"]).revised(state.reachable, nothing).sum() == 0
     known = Oracle().init(World.from_terrain(terrain))
     assert Oracle().revised(known, nothing) is known
+
+
+def test_a_planner_that_knows_no_changes_says_so():
+    refusal(lambda: Planner().revised((), jnp.zeros(1)), "planner Planner", "no method revised")
+
+
+def test_a_planner_is_shown_by_the_method_that_it_overrides(street):
+    """A subclass with a plan of its own is run and shown by that, not by the assessment that it inherits."""
+
+    @struct.dataclass
+    class Stays(LowestColumn):
+        def plan(self, belief, state):
+            plan, state = super().plan(belief, state)
+            return plan.replace(action=jnp.full_like(plan.action, 1)), state
+
+    rules, pose = RULES["complete"], make_pose(8, 4, 2)
+    world = World.from_terrain(street)
+    belief = gridworld.reset(world, pose, rules.sensing)
+    shown, own = (assess(kind(rules), belief, kind(rules).init(world), rules)[0] for kind in (LowestColumn, Stays))
+    assert (int(own.plan.action), own.score) == (1, None)
+    assert shown.score is not None
 
 
 def test_nothing_is_estimated_on_the_way_to_a_goal(street):

@@ -9,10 +9,10 @@ import numpy as np
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.planning.choosing import Moment, exploring_poses
+from dc2g_jax._src.planning.choosing import Situation, exploring_poses
 from dc2g_jax._src.planning.planners import reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax.rivals.recurrent_policy import RecurrentPolicy, block_of_cells, read_policy, surroundings
+from dc2g_jax.rivals.recurrent_policy import RecurrentPolicy, block_of_cells, policy_inputs, read_policy
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import SENSING, belief_of, random_moment
 
@@ -53,7 +53,7 @@ explored = jax.jit(functools.partial(exploring_poses, rules=RULES))
 
 
 def moment_of(seed, policy):
-    """A random moment: belief and what is known of it in plain NumPy."""
+    """A random situation: belief and what is known of it in plain NumPy."""
     terrain, seen, pose = random_moment(seed, (40, 37), 0.7)
     belief = belief_of(terrain, seen, pose)
     reachable = jax.jit(reachable_cells)(belief, jnp.zeros_like(belief.seen))
@@ -61,8 +61,9 @@ def moment_of(seed, policy):
     candidates = explored(belief, reachable)
     visited = seen & (np.random.default_rng(seed).random(seen.shape) < 0.3)
     memory = policy.init(belief).estimator._replace(visited=bitboard.pack(jnp.asarray(visited)))
-    moment = Moment(reachable, candidates, jnp.asarray(distance), candidates, memory)
-    return belief, moment, (terrain, seen, pose, distance, visited, np.asarray(poses.unpack(candidates, belief.width)))
+    situation = Situation(reachable, candidates, jnp.asarray(distance), candidates, memory)
+    candidates = np.asarray(poses.unpack(candidates, belief.width))
+    return belief, situation, (terrain, seen, pose, distance, visited, candidates)
 
 
 def plain_surroundings(terrain, seen, pose, distance, visited, candidates):
@@ -113,22 +114,22 @@ def test_it_heads_for_the_block_that_the_network_prefers():
     """What it sees, remembers and prefers, and the candidates it then takes, at random moments."""
     weights = read_policy()
     policy, several = RecurrentPolicy(RULES), 0
-    see = jax.jit(functools.partial(surroundings, sensing=RULES.sensing))
+    see = jax.jit(functools.partial(policy_inputs, sensing=RULES.sensing))
     prepare, rate = jax.jit(policy.prepare), jax.jit(policy.score)
     for seed in range(12):
-        belief, moment, plain = moment_of(seed, policy)
-        seen = see(belief, moment)
+        belief, situation, plain = moment_of(seed, policy)
+        seen = see(belief, situation)
         expected = plain_surroundings(*plain)
         for found, wanted in zip(seen, expected, strict=True):
             np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
         present = expected[-1]
         hidden = np.random.default_rng(seed).normal(size=64).astype(np.float32)
-        moment = moment._replace(estimator=moment.estimator._replace(hidden=jnp.asarray(hidden)))
-        memory = prepare(belief, moment)
+        situation = situation._replace(estimator=situation.estimator._replace(hidden=jnp.asarray(hidden)))
+        memory = prepare(belief, situation)
         logits, hidden = plain_logits(weights, hidden, *expected)
         np.testing.assert_allclose(memory.hidden, hidden, rtol=1e-3, atol=1e-4)
         np.testing.assert_allclose(memory.logits, logits, rtol=1e-3, atol=1e-3)
-        score = rate(belief, moment._replace(estimator=memory))
+        score = rate(belief, situation._replace(estimator=memory))
         blocks = plain_blocks(plain[2], plain[0].shape)
         np.testing.assert_allclose(score, np.broadcast_to(-logits[blocks], score.shape), rtol=1e-3, atol=1e-3)
         several += present.sum() > 2

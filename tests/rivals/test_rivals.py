@@ -15,7 +15,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.choosing import Moment, exploring_poses, in_square
+from dc2g_jax._src.planning.choosing import Situation, exploring_poses, in_square
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, planner_with
 from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
@@ -287,9 +287,9 @@ def test_regions_are_the_pieces_of_the_frontier_in_the_order_of_their_costs():
         free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
         distance = oracle.distances_from(free, pose)
         candidates = explored(belief, reachable)
-        moment = Moment(reachable, candidates, jnp.asarray(distance), candidates, ())
+        situation = Situation(reachable, candidates, jnp.asarray(distance), candidates, ())
         cost = np.random.default_rng(seed).permutation(terrain.size).reshape(terrain.shape).astype(np.float32)
-        regions = find(belief, moment, jnp.asarray(cost))
+        regions = find(belief, situation, jnp.asarray(cost))
         open_cells = np.asarray(bitboard.unpack(frontiers.frontier_cells(belief, reachable), belief.width))
         open_cells = open_cells & np.asarray(bitboard.unpack(jnp.bitwise_or.reduce(candidates, axis=0), belief.width))
         pieces, count = ndimage.label(open_cells | oracle._neighbor_of(open_cells))

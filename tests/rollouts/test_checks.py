@@ -10,7 +10,7 @@ from flax import struct
 
 import dc2g_jax as dc2g
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
-from dc2g_jax._src.planning.planners import DC2G, EXPLORE, TO_GOAL, Frontier
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, TO_GOAL, Frontier, Planner
 from dc2g_jax._src.planning.rules import Rules, complete_rules
 from dc2g_jax._src.rollouts.checks import _differing, check_estimator, check_planner
 from tests.support.exploration import Scattered
@@ -70,6 +70,12 @@ class Undecorated(Fair):
 
 @struct.dataclass
 class NoPlan:
+    def init(self, world):
+        return ()
+
+
+@struct.dataclass
+class NoDecision(Planner):
     def init(self, world):
         return ()
 
@@ -205,6 +211,7 @@ class Follows(Fair):
         (Fair, "is a class; expected an instance of it, such as Fair(...)"),
         (Undecorated(), "is no pytree; expected a class decorated with flax.struct.dataclass"),
         (NoPlan(), "has no method plan; expected the methods init and plan"),
+        (NoDecision(), "plan for one robot raises NotImplementedError: a planner needs a method plan"),
         (OpenRules(), "expected an array, or a static field: struct.field(pytree_node=False)"),
         (NoCount(), "batch_per_core is 0; expected a number of robots, 1 or more"),
         (BarePlan(), "plan returns 'Plan'; expected a tuple of a Plan and a state"),

@@ -12,6 +12,7 @@ from jax import Array
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid.poses import LEFT_ACTION, every_heading, make_pose
+from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.planners import (
@@ -284,6 +285,14 @@ def test_no_random_walk_beats_the_oracle(terrains, slots):
         assert (done.steps >= best.steps)[done.success].all()
         arrived += done.success.sum()
     assert arrived > 20
+
+
+def test_robots_see_what_the_rules_of_their_planner_say(terrains):
+    episodes = some_episodes(terrains, 6, count=3)
+    assert_equal(run(terrains, episodes, sensing=None), run(terrains, episodes, sensing=RULES.sensing))
+    other = field_of_view(RULES.sensing.radius + 1)
+    refusal(lambda: run(terrains, episodes, sensing=other), "planner 'Frontier'", "sensing_range")
+    refusal(lambda: run(terrains, episodes, Oracle(), sensing=None), "planner 'Oracle'", "give sensing")
 
 
 @pytest.mark.release

@@ -10,7 +10,7 @@ from dc2g_jax._src.grid import bitboard, gridworld, poses, search
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, AssessingPlanner, Frontier
+from dc2g_jax._src.planning.planners import EXPLORE, Frontier, Planner
 from dc2g_jax._src.planning.rules import Rules
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
@@ -69,7 +69,7 @@ class PlanAlone:
 
 
 @struct.dataclass
-class LowestColumn(AssessingPlanner):
+class LowestColumn(Planner):
     """A planner of a user's own that explores from the candidates farthest to the left and tells so."""
 
     rules: Rules = struct.field(pytree_node=False)

@@ -33,8 +33,8 @@ def houses(street) -> list[House]:
     ("options", "mention"),
     [
         ({"data_seed": 10_000}, "10000; give|data seed 10000"),
-        ({"ranges": ()}, "sensing ranges"),
-        ({"ranges": (0, 5)}, "sensing ranges"),
+        ({"ranges": ()}, "sensing range"),
+        ({"ranges": (0, 5)}, "sensing range"),
         ({"ranges": (5, 65)}, "1 to 64 cells"),
         ({"masks_per_episode": 0}, "masks_per_episode 0"),
         ({"extra_houses": -1}, "extra houses -1"),

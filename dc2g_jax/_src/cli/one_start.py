@@ -13,12 +13,11 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.animation import animate
 from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax._src.figures.replay import replay_result
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.grid.sensing import check_sensing_range
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
@@ -63,8 +62,7 @@ class OneStartOptions(NetworkOptions, OutOptions):
         Raises:
           InputError: it is not.
         """
-        if not 1 <= self.sensing_range <= MAX_SENSING_RANGE:
-            raise InputError(f"--sensing-range {self.sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
+        check_sensing_range("--sensing-range", self.sensing_range)
 
 
 def run_one_start(

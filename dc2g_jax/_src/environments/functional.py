@@ -28,7 +28,7 @@ from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
+from dc2g_jax._src.grid.sensing import Kernel, check_sensing_range, field_of_view
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, stack_worlds
@@ -216,7 +216,7 @@ def front_door(
       InputError: there are no houses, no episode can be run in one of them (leave out those for which `why_no_episode`
         gives a reason), their sizes differ, or a number is out of bounds.
     """
-    check_number("sensing_range", sensing_range, whole=True, least=1, most=MAX_SENSING_RANGE)
+    check_sensing_range("sensing_range", sensing_range)
     check_number("step_limit", step_limit, whole=True, least=1, most=_MAX_STEP_LIMIT)
     if not houses:
         raise InputError("houses: there are none; give at least one")

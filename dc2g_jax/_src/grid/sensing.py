@@ -8,6 +8,7 @@ is its parent. Batch axes come last, see `grid.bitboard`.
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,15 @@ from dc2g_jax._src.programs import apart
 
 #: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
 MAX_SENSING_RANGE = 64
+
+
+def check_sensing_range(name: str, value: Any) -> None:
+    """Check a range of a field of view, in cells.
+
+    Raises:
+      InputError: it is not a whole number from 1 to `MAX_SENSING_RANGE`.
+    """
+    check_number(name, value, whole=True, least=1, most=MAX_SENSING_RANGE, hint="cells")
 
 
 @dataclasses.dataclass(frozen=True)

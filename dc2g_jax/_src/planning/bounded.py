@@ -19,7 +19,6 @@ from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import FORWARD_ACTION, Pose, every_heading, moved
-from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.frontiers import unseen
 from dc2g_jax._src.planning.planners import (
@@ -28,15 +27,15 @@ from dc2g_jax._src.planning.planners import (
     GAVE_UP,
     TO_GOAL,
     Ask,
-    AskingPlanner,
     Assessment,
     Frontier,
-    MapRevisingPlanner,
     Plan,
+    Planner,
     asks,
     assess,
     memoryless,
     plan_to,
+    sensing_of,
 )
 from dc2g_jax._src.planning.rules import Rules
 
@@ -64,22 +63,32 @@ class Shadow(NamedTuple):
     steps: Int[Array, "*batch"]
 
 
+class Bound(NamedTuple):
+    """What keeps the bound between steps.
+
+    Attributes:
+      shadow: the virtual robot.
+      taken: number of decisions so far, which are the robot's actions.
+      led: whether the robot returns to the shadow or goes with it.
+      holds: whether the robot has been where the bound holds.
+    """
+
+    shadow: Shadow
+    taken: Int[Array, "*batch"]
+    led: Bool[Array, "*batch"]
+    holds: Bool[Array, "*batch"]
+
+
 class BoundedState(NamedTuple):
     """State of `Bounded` between steps.
 
     Attributes:
       planner: state of the wrapped planner.
-      shadow: the virtual robot.
-      taken: number of decisions so far, which are the robot's actions.
-      led: whether the robot returns to the shadow or goes with it.
-      bounded: whether there has been a bound at any step.
+      bound: what keeps the bound; `None` on maps without one.
     """
 
     planner: Any
-    shadow: Shadow
-    taken: Int[Array, "*batch"]
-    led: Bool[Array, "*batch"]
-    bounded: Bool[Array, "*batch"]
+    bound: Bound | None
 
 
 #: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
@@ -92,7 +101,7 @@ def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
 
 
 @struct.dataclass
-class Bounded(AskingPlanner):
+class Bounded(Planner):
     """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
@@ -111,9 +120,10 @@ class Bounded(AskingPlanner):
         shadow's actions; beyond half of the slack.
       where: whether a robot is bounded from now on, given its belief. Before, it follows the wrapped planner. A robot
         that has taken more actions than the bound allows when it becomes bounded returns to the shadow.
+      free_side: longest side of the maps on which there is no bound, in cells.
     """
 
-    planner: MapRevisingPlanner
+    planner: Planner
     rules: Rules = struct.field(pytree_node=False)
     factor: float
     slack: float
@@ -121,26 +131,30 @@ class Bounded(AskingPlanner):
     actions: float = 0.0
     renewed: float = 0.0
     where: Callable[[Belief], Bool[Array, "*batch"]] = struct.field(pytree_node=False, default=everywhere)
+    free_side: int = struct.field(pytree_node=False, default=0)
     batch_per_core: ClassVar[int] = DC2G.batch_per_core
 
-    def memoryless(self) -> Any:
+    @property
+    def estimator(self) -> Any:
+        """The estimator of the wrapped planner, if it has one."""
+        return self.planner.estimator  # type: ignore[attr-defined]
+
+    def memoryless(self) -> Planner:
         """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""
         return memoryless(self.planner)
 
     def init(self, world: World) -> BoundedState:
         """The wrapped planner's state. The shadow starts at the first decision, at the robot's pose."""
+        sensing_of(self.planner, self.rules.sensing)
+        state = BoundedState(self.planner.init(world), bound=None)
+        if max(world.height, world.width) <= self.free_side:
+            return state
         nothing = jnp.zeros_like(world.traversable)
         zero = jnp.zeros(nothing.shape[2:], jnp.int32)
-        shadow = Shadow(
-            pose=Pose(zero, zero, zero),
-            seen=nothing,
-            reachable=nothing,
-            action=zero,
-            mode=jnp.full_like(zero, EXPLORE),
-            steps=jnp.full_like(zero, -1),
-        )
         no = jnp.zeros_like(zero, bool)
-        return BoundedState(self.planner.init(world), shadow, taken=zero, led=no, bounded=no)
+        explores, before = jnp.full_like(zero, EXPLORE), jnp.full_like(zero, -1)
+        shadow = Shadow(Pose(zero, zero, zero), nothing, nothing, action=zero, mode=explores, steps=before)
+        return state._replace(bound=Bound(shadow, taken=zero, led=no, holds=no))
 
     def look(self, belief: Belief, state: BoundedState) -> tuple[Bool[Array, "*batch"], Any]:
         """What the wrapped planner looks at."""
@@ -149,38 +163,36 @@ class Bounded(AskingPlanner):
         return jnp.zeros(belief.pose.x.shape, bool), ()
 
     def ask(self, belief: Belief, state: BoundedState) -> Estimates:
-        """The answer that the wrapped planner gets, if it asks."""
+        """The answer that the wrapped planner gets."""
         if asks(self.planner):
             return self.planner.ask(belief, state.planner)
-        return jnp.zeros((1, 1, 1, *belief.pose.x.shape))
+        return jnp.zeros((0, belief.height, belief.width, *belief.pose.x.shape))
 
     def conclude(self, belief: Belief, state: BoundedState, looked: Any, ask: Ask) -> tuple[Assessment, BoundedState]:
-        """The wrapped planner's decision while the bound allows it; else return to the shadow, or go with it.
-
-        Candidates, score and cost-to-go are the wrapped planner's; the plan is the one that is carried out. A robot
-        that returns heads for the shadow's pose or a goal that it has seen, whichever is nearer. A robot at the shadow
-        heads for the shadow's next pose instead.
-        """
+        """The wrapped planner's decision, or that of the shadow where its actions could exceed the bound."""
         if asks(self.planner):
             assessment, planner_state = self.planner.conclude(
                 belief, state.planner, looked, lambda belief, own: ask(belief, state._replace(planner=own))
             )
         else:
             assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
-        shadow, bounded = self._caught_up(belief, state.shadow), state.bounded | self.where(belief)
-        plan, led = self._bounded(belief, assessment.plan, state._replace(shadow=shadow, bounded=bounded))
-        state = BoundedState(planner_state, shadow, state.taken + 1, led, bounded)
-        return dataclasses.replace(assessment, plan=plan), state
+        state = state._replace(planner=planner_state)
+        if state.bound is None:
+            return assessment, state
+        plan, bound = self._bounded(belief, assessment.plan, state.bound)
+        return dataclasses.replace(assessment, plan=plan), state._replace(bound=bound)
 
     def revised(self, state: BoundedState, changed: Board) -> BoundedState:
         """The state after these cells changed their class: without a bound if there are any.
 
         The robot then follows the wrapped planner alone, since the shadow has not seen the map as it is now.
         """
-        shadow = state.shadow
+        state = state._replace(planner=self.planner.revised(state.planner, changed))
+        if state.bound is None:
+            return state
+        shadow = state.bound.shadow
         mode = jnp.where(bitboard.is_empty(changed), shadow.mode, GAVE_UP)
-        planner = self.planner.revised(state.planner, changed)
-        return state._replace(planner=planner, shadow=shadow._replace(mode=mode))
+        return state._replace(bound=state.bound._replace(shadow=shadow._replace(mode=mode)))
 
     def _caught_up(self, belief: Belief, shadow: Shadow) -> Shadow:
         """The shadow after its next actions, as far as the robot has seen what it would see."""
@@ -211,9 +223,9 @@ class Bounded(AskingPlanner):
         later = Shadow(next_pose, seen, reachable, plan.action, plan.mode, shadow.steps + 1)
         return _chosen(moves, later, shadow), moves
 
-    def _bounded(self, belief: Belief, wrapped: Plan, state: BoundedState) -> tuple[Plan, Bool[Array, "*batch"]]:
-        """The plan that keeps the bound, and whether the robot is led by the shadow."""
-        shadow = state.shadow
+    def _bounded(self, belief: Belief, wrapped: Plan, bound: Bound) -> tuple[Plan, Bound]:
+        """The plan that keeps the bound."""
+        shadow, holds = self._caught_up(belief, bound.shadow), bound.holds | self.where(belief)
         there = _same(belief.pose, shadow.pose)
         target = _chosen(there, _next_pose(belief, shadow.pose, shadow.action), shadow.pose)
         to_goal = wrapped.mode == TO_GOAL
@@ -221,54 +233,14 @@ class Bounded(AskingPlanner):
         subgoals = poses.only(target, *belief.goals.shape[:2]) | every_heading(belief.goals)
         back = plan_to(belief, subgoals, belief.traversable, jnp.where(to_goal, TO_GOAL, EXPLORE))
         slack = self.slack * (belief.height + belief.width) + self.actions
-        left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, back.length)
+        left = self.factor * shadow.steps + slack - bound.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
-        led = ~affordable | (state.led & (left < _RENEWED * slack + self.renewed * shadow.steps))
+        led = ~affordable | (bound.led & (left < _RENEWED * slack + self.renewed * shadow.steps))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
-        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~state.bounded
-        return _chosen(free | without_bound, wrapped, back), led
-
-
-@struct.dataclass
-class CautiousDC2G(DC2G):
-    """`DC2G`, bounded in towns, which are unlike the training maps of its network (see docs/notebook/towns.md).
-
-    Once a robot has taken its map for a town, it takes at most 2.5 times the actions of frontier exploration and 50
-    more. Elsewhere, and without a memory, this is `DC2G`.
-    """
-
-    def _deciding(self, bounded: bool) -> Any:
-        """`DC2G`, or its bound."""
-        planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
-        if not bounded:
-            return planner
-        return Bounded(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town)
-
-    def _of(self, state: Any) -> Any:
-        """The planner whose state this is."""
-        return self._deciding(isinstance(state, BoundedState))
-
-    def init(self, world: World) -> Any:
-        """The state of `DC2G`, or of its bound on larger maps than those of the training."""
-        return self._deciding(self.memory and max(world.height, world.width) > self._known_side).init(world)
-
-    def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
-        """What `DC2G` looks at."""
-        return self._of(state).look(belief, state)
-
-    def ask(self, belief: Belief, state: Any) -> Estimates:
-        """The answer that `DC2G` gets."""
-        return self._of(state).ask(belief, state)
-
-    def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
-        """Decide as `DC2G`, within the bound."""
-        return self._of(state).conclude(belief, state, looked, ask)
-
-    def revised(self, state: Any, changed: Board) -> Any:
-        """The state after these cells changed their class."""
-        return self._of(state).revised(state, changed)
+        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~holds
+        return _chosen(free | without_bound, wrapped, back), Bound(shadow, bound.taken + 1, led, holds)
 
 
 def _same(a: Pose, b: Pose) -> Bool[Array, "*batch"]:

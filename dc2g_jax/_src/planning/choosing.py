@@ -15,8 +15,8 @@ from dc2g_jax._src.grid.poses import PoseSet, every_heading
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import (
-    AssessingPlanner,
     Assessment,
+    Planner,
     explore_or_finish,
     observed_terrain,
     reachable_cells,
@@ -32,7 +32,7 @@ PoseValues = Float[Array, "heading h w *batch"]
 _ROUNDING = 1e-5
 
 
-class Moment(NamedTuple):
+class Situation(NamedTuple):
     """What a planner chooses from.
 
     Attributes:
@@ -106,7 +106,7 @@ def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, 
 
 
 @struct.dataclass
-class ChoosingPlanner(AssessingPlanner):
+class ChoosingPlanner(Planner):
     """Heads for the frontier-expanding pose of the lowest score, or for the goal once it is reachable.
 
     It keeps to its choice until that pose would reveal nothing more, or enough has been seen since. Nothing is chosen
@@ -122,14 +122,14 @@ class ChoosingPlanner(AssessingPlanner):
     #: A choice is made for some robots at a time.
     batch_per_core: ClassVar[int] = 32
 
-    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+    def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Score of every pose; the lowest of a candidate wins. Values of other poses do not matter."""
         raise NotImplementedError
 
-    def prepare(self, belief: Belief, moment: Moment) -> Any:
+    def prepare(self, belief: Belief, situation: Situation) -> Any:
         """What is remembered from a choice to the next, in place of the estimator's state; called before the scores."""
         del belief
-        return moment.estimator
+        return situation.estimator
 
     def init(self, world: World) -> Chosen:
         """Nothing is reachable before the first observation."""
@@ -137,20 +137,20 @@ class ChoosingPlanner(AssessingPlanner):
         estimator = getattr(self, "estimator", None)
         return Chosen(nothing, every_heading(nothing), nothing, () if estimator is None else estimator.init(world))
 
-    def _moment(self, belief: Belief, reachable: Board, candidates: PoseSet, state: Chosen) -> Moment:
+    def _situation(self, belief: Belief, reachable: Board, candidates: PoseSet, state: Chosen) -> Situation:
         distance = search.distances(belief.pose, reachable, belief.width)
-        return Moment(reachable, candidates, distance, state.subgoals & candidates, state.estimator)
+        return Situation(reachable, candidates, distance, state.subgoals & candidates, state.estimator)
 
     def _choose(self, inputs: tuple[Belief, Board, PoseSet], state: Chosen) -> Chosen:
         """The poses of the lowest score."""
         belief, reachable, candidates = inputs
-        moment = self._moment(belief, reachable, candidates, state)
-        moment = moment._replace(estimator=self.prepare(belief, moment))
-        eligible = poses.unpack(candidates, belief.width) & (moment.distance >= 0)
-        score = jnp.where(eligible, self.score(belief, moment), jnp.inf)
+        situation = self._situation(belief, reachable, candidates, state)
+        situation = situation._replace(estimator=self.prepare(belief, situation))
+        eligible = poses.unpack(candidates, belief.width) & (situation.distance >= 0)
+        score = jnp.where(eligible, self.score(belief, situation), jnp.inf)
         lowest = jnp.min(score, axis=(0, 1, 2))
         best = eligible & (score <= lowest + _ROUNDING * (1 + jnp.abs(lowest)))
-        return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen, estimator=moment.estimator)
+        return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen, estimator=situation.estimator)
 
     def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:
         """Head for the chosen pose, or for the goal. The scores are the current ones."""
@@ -162,9 +162,9 @@ class ChoosingPlanner(AssessingPlanner):
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         state = update_where(self._choose, outdated & undecided, (belief, reachable, candidates), state)
         plan = explore_or_finish(belief, reachable, state.subgoals & candidates, self.rules)
-        moment = self._moment(belief, reachable, candidates, state)
-        score = jnp.min(jnp.where(poses.unpack(candidates, belief.width), self.score(belief, moment), jnp.inf), axis=0)
-        return Assessment(plan, reachable, candidates, score), state._replace(reachable=reachable)
+        situation = self._situation(belief, reachable, candidates, state)
+        score = jnp.where(poses.unpack(candidates, belief.width), self.score(belief, situation), jnp.inf)
+        return Assessment(plan, reachable, candidates, jnp.min(score, axis=0)), state._replace(reachable=reachable)
 
     def revised(self, state: Chosen, changed: Board) -> Chosen:
         """The state without ground and choice: both can be lost."""

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Bool, Int, UInt8
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import belief_from_map
@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel
 from dc2g_jax._src.grid.terrain import UNKNOWN
 from dc2g_jax._src.planning.decisions import explain
-from dc2g_jax._src.planning.metric_map import DrawnMap, MetricMap, MetricPose, class_of_values, draw, numbers_of
+from dc2g_jax._src.planning.metric_map import DrawnMap, MetricMap, MetricPose, class_of_values, draw, in_map_frame
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Planner
 from dc2g_jax._src.programs import jit
@@ -127,11 +127,10 @@ class MetricPlanner:
         network: Estimator | str | Path | None = None,
         largest: tuple[int, int] = (100, 100),
     ):
-        if not (0 < cell_size < math.inf and 0 < sensing_range < math.inf):
-            raise InputError(f"cell_size {cell_size}, sensing_range {sensing_range}: give meters, such as 0.25 and 3.0")
+        check_number("cell_size", cell_size, above=0, hint="meters, such as 0.25")
+        check_number("sensing_range", sensing_range, above=0, hint="meters, such as 3.0")
         self._smallest_cell = cell_size / 4 if smallest_cell is None else smallest_cell
-        if not 0 < self._smallest_cell <= cell_size:
-            raise InputError(f"smallest_cell {smallest_cell}: give meters, at most cell_size {cell_size}")
+        check_number("smallest_cell", self._smallest_cell, above=0, most=cell_size, hint="meters, the cell_size")
         self._classes = class_of_values(labels)
         self._cell_size = cell_size
         self._make = functools.partial(
@@ -165,8 +164,8 @@ class MetricPlanner:
         Raises:
           InputError: the map, the pose or a door is invalid, or the sensing range is less than a cell.
         """
-        here = MetricPose(*numbers_of("pose", pose, 3))
-        found = tuple(numbers_of("door", door, 2) for door in doors)
+        here = MetricPose(*in_map_frame("pose", pose, 3))
+        found = tuple(in_map_frame("door", door, 2) for door in doors)
         self._look_around(here, grid)
         factor = max(1, math.ceil(self._cell_size / grid.resolution - 1e-4))
         decision = self._decided(grid, factor, here, found)

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import UInt8
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.grid.map_frame import MapFrame
 from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.grid.sampling import sample_conservatively
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, FRONT_DOOR, NOTHING, OCCUPIED, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.planning.decisions import RobotPose
+from dc2g_jax._src.planning.inputs import map_of, numbers_of
 
 #: An occupancy grid's cell is free up to the first value, occupied from the second, in percent, and unknown between.
 #: Nav2 saves maps with these thresholds.
@@ -65,18 +66,12 @@ class MetricMap:
     origin: MapFrame
 
     def __post_init__(self) -> None:
-        try:
-            cells = np.asarray(self.cells)
-        except ValueError:
-            raise InputError(f"the map is {short(self.cells)}; give int8 [rows columns]") from None
-        if cells.ndim != 2 or cells.size == 0 or not np.issubdtype(cells.dtype, np.integer):
-            raise InputError(f"the map has dtype {cells.dtype} and shape {cells.shape}; give int8 [rows columns]")
-        if cells.min() < -1 or cells.max() > _MOST:
-            raise InputError(f"the map holds {cells.min()} to {cells.max()}; give -1 (unknown) to {_MOST}")
-        if not (math.isfinite(self.resolution) and self.resolution > 0):
-            raise InputError(f"the map's resolution is {self.resolution}; give the meters of a cell, such as 0.05")
+        cells = map_of("the map", self.cells, np.integer, "int8 [rows columns]")
+        for value in (int(cells.min()), int(cells.max())):
+            check_number("a cell of the map,", value, least=-1, most=_MOST, hint="(-1: unknown)")
+        check_number("the map's resolution", self.resolution, above=0, hint="in meters a cell, such as 0.05")
         object.__setattr__(self, "cells", cells)
-        object.__setattr__(self, "origin", MapFrame(*numbers_of("the map's origin", self.origin, 3)))
+        object.__setattr__(self, "origin", MapFrame(*in_map_frame("the map's origin", self.origin, 3)))
 
 
 class Cells(NamedTuple):
@@ -140,8 +135,8 @@ def class_of_values(labels: Mapping[int, str] | None) -> UInt8[np.ndarray, "valu
         classes[: FREE_AT_MOST + 1] = FREE
         classes[OCCUPIED_FROM : _OCCUPIED + 1] = OCCUPIED
     for value, name in (labels or {}).items():
-        if name not in CLASS_NAMES or not 0 <= value <= _MOST:
-            raise InputError(f"labels: {short(value)} is {short(name)}; give 0 to {_MOST}, and one of {CLASS_NAMES}")
+        check_number("labels: value", value, whole=True, least=0, most=_MOST)
+        check_name(f"class, that of value {value} in labels,", name, CLASS_NAMES)
         classes[value] = CLASS_NAMES.index(name)
     classes[-1] = UNKNOWN
     return classes
@@ -229,15 +224,6 @@ def _indices(
     return rows[inside], columns[inside]
 
 
-def numbers_of(name: str, values: npt.ArrayLike, count: int) -> tuple[float, ...]:
+def in_map_frame(name: str, values: npt.ArrayLike, count: int) -> tuple[float, ...]:
     """Check that values are `count` numbers that a place in a map frame may have, and return them."""
-    try:
-        numbers = np.asarray(values, float).ravel().tolist()
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count:
-        raise InputError(f"{name} is {short(values)}; give {count} numbers, in meters and radians")
-    for number in numbers:
-        if not abs(number) <= _FARTHEST:
-            raise InputError(f"{name} has {number}; give meters and radians of at most {_FARTHEST:.0e}")
-    return tuple(numbers)
+    return numbers_of(name, values, count, limit=_FARTHEST)

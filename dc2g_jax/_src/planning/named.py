@@ -5,15 +5,16 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
-from importlib.metadata import EntryPoint
 from typing import Any
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo, answers_in_cells
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells, trait
+from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.own_parts import own_part
-from dc2g_jax._src.planning.bounded import Bounded, CautiousDC2G
+from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.frontiers import facing_most
-from dc2g_jax._src.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
+from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
 from dc2g_jax._src.plugins import plugins
@@ -22,22 +23,15 @@ from dc2g_jax._src.plugins import plugins
 STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
 
 
-def _on_network(
-    selection: Selection,
-    estimator: Estimator,
-    rules: Rules,
-    patience: Patience = STEP_PATIENCE,
-    kind: type[DC2G] = CautiousDC2G,
-) -> DC2G:
-    """A planner with a network, with the parameters chosen on validation houses and towns (see docs/notebook).
+def _unbounded(selection: Selection, estimator: Estimator, rules: Rules, patience: Patience) -> DC2G:
+    """DC2G with the parameters chosen on validation houses and towns (see docs/notebook).
 
     It alternates between the map and its mirror image as the network's input. It heads for the nearest reachable goal
-    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none. Its actions
-    are bounded on maps unlike those of the training, if every decision is an action.
+    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none.
     """
     if not answers_in_cells(estimator):
         return DC2G(estimator, rules)
-    return (kind if patience.price else DC2G)(
+    return DC2G(
         estimator,
         dataclasses.replace(rules, goal_poses=nearest_goal),
         selection=selection,
@@ -47,19 +41,30 @@ def _on_network(
         headings=facing_most,
         patience=patience,
         replan_fraction=1 / 3,
-        magnifies=isinstance(estimator, NetworkCostToGo),
+        town_side=trait(estimator, "side"),
     )
 
 
-def _by_the_paper(estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> DC2G:
-    """Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance. Its patience never ends."""
-    del patience
-    return DC2G(estimator, rules)
+def _on_network(
+    selection: Selection, estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE
+) -> DC2G | Bounded:
+    """The same, bounded in towns, which are unlike the maps of the training (see docs/notebook/towns.md).
+
+    Once a robot has taken its map for a town, it takes at most 2.5 times the actions of frontier exploration and 50
+    more. There is no bound where a decision is not an action, and none without a scale.
+    """
+    planner = _unbounded(selection, estimator, rules, patience)
+    if not patience.price or not answers_in_cells(estimator):
+        return planner
+    side = trait(estimator, "side") or Architecture.side
+    return Bounded(
+        planner, planner.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town, free_side=side
+    )
 
 
 def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Bounded:
     """`dc2g` with a bound on its actions (see docs/notebook/bounded.md)."""
-    planner = NETWORK_PLANNERS["dc2g"](estimator, rules, patience, DC2G)
+    planner = _unbounded(ExpectedCost(distance_weight=0.5), estimator, rules, patience)
     return Bounded(planner, planner.rules, factor=2.0, slack=3.0)
 
 
@@ -67,30 +72,25 @@ def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
 RIVALS, NETWORK_RIVALS = plugins("planners"), plugins("network_planners")
 
 
-def _rival(point: EntryPoint, rules: Rules) -> MapRevisingPlanner:
-    """A planner of a plug-in, imported when it is asked for."""
-    return point.load()(rules)
-
-
 def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> Any:
-    """The same with a network, whose costs are in cells. It has no patience."""
+    """A planner of a plug-in with a network, whose costs are in cells. It has no patience."""
     del patience
     if not answers_in_cells(estimator):
         raise InputError(f"the planner {name!r} needs costs in cells; give another network")
     return NETWORK_RIVALS[name].load()(rules, estimator=estimator)
 
 
-#: Planners without a network, called with the rules.
-_PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
+#: Planners of the package without a network, called with the rules.
+_PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], Planner]] = {
     "oracle": lambda rules: Oracle(),
     "frontier": Frontier,
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
-    **{name: functools.partial(_rival, point) for name, point in RIVALS.items()},
 }
 
 #: Planners with a network, called with the network, the rules and, optionally, their patience.
 NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
-    "dc2g_paper": _by_the_paper,
+    # Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance. Its patience never ends.
+    "dc2g_paper": lambda estimator, rules, patience=ENDLESS: DC2G(estimator, rules),
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
     "dc2g_bounded": _bounded,
@@ -110,7 +110,7 @@ def make_planner(
     network: Estimator | str | os.PathLike[str] | None = None,
     settings: str | Settings = "paper",
     sensing_range: int | None = None,
-) -> MapRevisingPlanner:
+) -> Planner:
     """Make a planner by name.
 
     ```
@@ -134,7 +134,7 @@ def make_planner(
 
 def planner_with(
     name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
-) -> MapRevisingPlanner:
+) -> Planner:
     """Make a planner by name from rules and an estimator.
 
     Args:
@@ -148,6 +148,8 @@ def planner_with(
     """
     if name in _PLANNERS_BY_RULES:
         return _PLANNERS_BY_RULES[name](rules)
+    if name in RIVALS:
+        return RIVALS[name].load()(rules)
     if name in NETWORK_PLANNERS and estimator is not None:
         return NETWORK_PLANNERS[name](estimator, rules, patience)
     if name in NETWORK_PLANNERS:

@@ -7,7 +7,6 @@ calls.
 import dataclasses
 import functools
 import itertools
-import operator
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +16,17 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.poses import HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.grid.sensing import check_sensing_range
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
+from dc2g_jax._src.planning.inputs import map_of, numbers_of
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import Assessment, Planner, assess, distances_and_scores, memoryless
 from dc2g_jax._src.planning.rules import Rules, complete_rules
@@ -43,24 +43,26 @@ _SMALLEST_GRID = 32
 _OPEN_MARGIN = 24
 
 
-def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
-    """The fields of a `View` of one robot, for use in compiled functions."""
+def view_of(belief: Belief, assessment: Assessment) -> View:
+    """The inputs of a decision of one robot, for use in compiled functions."""
     distance, score = distances_and_scores(belief, assessment)
     subgoals, candidates = (
         poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
     )
-    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score, assessment.penalty
+    mode, cost_to_go, penalty = assessment.plan.mode, assessment.cost_to_go, assessment.penalty
+    traced: Any = (distance, mode, subgoals, candidates, cost_to_go, score, penalty)
+    return View(*traced)
 
 
 @functools.partial(jit, static_argnames=("rules",), compiler_options=ONE_OPERATION_OPTIONS)
-def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> tuple[Any, ...]:
-    """The fields of a `View`, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
+def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
+    """The inputs of a decision, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
 
-    def look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Any, ...]:
+    def look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> View:
         observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
         belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
         assessment, _ = assess(planner, belief, planner.init(World.from_terrain(observed)), rules)
-        return view_fields(belief, assessment)
+        return view_of(belief, assessment)
 
     return one_operation(look, planner, terrain, pose)
 
@@ -114,24 +116,20 @@ class OnlinePlanner:
         settings: str = "paper",
     ):
         keep_compiled_programs()
-        rows, columns = _whole_numbers("largest", largest, 2)
-        (reach,) = _whole_numbers("sensing_range", [sensing_range], 1)
-        if min(rows, columns, reach) < 1:
-            raise InputError(f"largest {rows} x {columns}, sensing_range {reach}: give whole numbers of at least 1")
-        if reach > MAX_SENSING_RANGE:
-            raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
+        rows, columns = numbers_of("largest", largest, 2, whole=True)
+        for side in (rows, columns):
+            check_number("largest", side, whole=True, least=1, hint="rows and columns")
+        check_sensing_range("sensing_range", sensing_range)
         if isinstance(planner, str):
-            if planner not in ONLINE_PLANNERS and ":" not in planner:
-                raise InputError(
-                    f"planner {planner!r}: use one of {', '.join(ONLINE_PLANNERS)}, or give one of your own"
-                )
-            planner = make_planner(planner, network=network, settings=settings, sensing_range=reach)
-        self.rules: Rules = getattr(planner, "rules", complete_rules(reach))
-        if self.rules.sensing.radius != reach:
-            raise InputError(f"sensing_range {reach}: the planner's rules say {self.rules.sensing.radius}; give that")
+            if ":" not in planner:
+                check_name("planner for a robot", planner, ONLINE_PLANNERS, "or one of your own")
+            planner = make_planner(planner, network=network, settings=settings, sensing_range=sensing_range)
+        self.rules: Rules = getattr(planner, "rules", complete_rules(sensing_range))
+        if (own := self.rules.sensing.radius) != sensing_range:
+            raise InputError(f"sensing_range {sensing_range}: the planner's rules say {own}; give that")
         self._planner = memoryless(planner)
         self.largest = rows, columns
-        self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
+        self._margin = max(_OPEN_MARGIN, sensing_range) if open_ended else 0
         reader = getattr(self._planner, "estimator", self._planner)
         self._pads_maps = getattr(reader, "knows_outside", Planner.knows_outside)
         frame = 2 * self._margin
@@ -157,7 +155,7 @@ class OnlinePlanner:
         Raises:
           InputError: the grid or the pose is invalid.
         """
-        left, top = _whole_numbers("origin", origin, 2)
+        left, top = numbers_of("origin", origin, 2, whole=True)
         checked = _checked_grid(grid, self.largest)
         robot = _checked_pose(pose, checked, left, top)
         left, top = left - self._margin, top - self._margin
@@ -176,8 +174,7 @@ class OnlinePlanner:
 
     def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
         """The inputs of a decision, computed in one call of the device."""
-        looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules)
-        return View(*jax.tree.map(np.asarray, looked))
+        return jax.device_get(_look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules))
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:
@@ -187,47 +184,26 @@ def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[in
     return [*((min(side, rows), min(side, columns)) for side in sides if side > larger_than), (rows, columns)]
 
 
-def _whole_numbers(name: str, values: Any, count: int) -> list[int]:
-    """Exactly `count` integers from values of any integer type."""
-    try:
-        numbers = [operator.index(value) for value in values]
-    except TypeError:
-        numbers = []
-    if len(numbers) != count:
-        raise InputError(f"{name} is {short(values)}; give whole numbers, {count} of them")
-    return numbers
-
-
 def _checked_grid(grid: npt.ArrayLike, largest: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     """The grid, if it is valid."""
-    try:
-        grid = np.asarray(grid)
-    except ValueError:
-        raise InputError(f"grid is {short(grid)}; give class indices, uint8 [rows columns]") from None
-    if grid.dtype != np.uint8 or grid.ndim != 2:
+    cells = map_of("grid", grid, np.uint8, "class indices, uint8 [rows columns]")
+    if cells.shape[0] > largest[0] or cells.shape[1] > largest[1]:
         raise InputError(
-            f"grid has dtype {grid.dtype} and shape {grid.shape}; give class indices, uint8 [rows columns]"
-        )
-    if grid.size == 0 or grid.shape[0] > largest[0] or grid.shape[1] > largest[1]:
-        raise InputError(
-            f"grid has shape {grid.shape}; give 1 to {largest[0]} rows and 1 to {largest[1]} columns, or make the "
+            f"grid has shape {cells.shape}; give at most {largest[0]} rows and {largest[1]} columns, or make the "
             "planner with a larger `largest`"
         )
-    if grid.max() >= len(CLASS_NAMES):
-        y, x = np.argwhere(grid >= len(CLASS_NAMES))[0]
-        raise InputError(
-            f"grid[{y}, {x}] is {grid[y, x]}; give class indices from 0 (not observed) to {len(CLASS_NAMES) - 1}, "
-            "see dc2g_jax._src.grid.terrain.CLASS_NAMES"
-        )
-    return grid
+    if cells.max() >= len(CLASS_NAMES):
+        y, x = np.argwhere(cells >= len(CLASS_NAMES))[0]
+        hint = "(0: not observed), an index into dc2g_jax.grid.CLASS_NAMES"
+        check_number(f"grid[{y}, {x}]", int(cells[y, x]), whole=True, least=0, most=len(CLASS_NAMES) - 1, hint=hint)
+    return cells
 
 
 def _checked_pose(pose: npt.ArrayLike, grid: UInt8[np.ndarray, "h w"], left: int, top: int) -> RobotPose:
     """The pose, if it is valid."""
-    x, y, heading = _whole_numbers("pose", pose, 3)
+    x, y, heading = numbers_of("pose", pose, 3, whole=True)
     height, width = grid.shape
-    if not 0 <= heading < HEADINGS:
-        raise InputError(f"the robot's heading is {heading}; give 0 (+x), 1 (+y), 2 (-x) or 3 (-y)")
+    check_number("the robot's heading", heading, least=0, most=HEADINGS - 1, hint="(+x, +y, -x, -y)")
     if not (left <= x < left + width and top <= y < top + height):
         raise InputError(
             f"the robot is at ({x}, {y}), off the map of columns {left} to {left + width - 1} and rows {top} to "

@@ -1,6 +1,4 @@
-"""Planners with one protocol: `init` once per world, `plan` once per step.
-
-`assess` makes the same decision as `plan`, and also returns its inputs.
+"""Planners: their interface, and those of the paper.
 
 Worlds, beliefs and states are those of one robot or of a batch, whose axes come last.
 
@@ -11,7 +9,7 @@ static. So one compiled program serves every checkpoint of the same architecture
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeGuard, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +17,14 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, extent_of, trait, update_where
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, extent_of, update_where
 from dc2g_jax._src.estimation.extents import TownWindow
 from dc2g_jax._src.estimation.padding import mirrored, padded
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, check_axes, check_poses
 from dc2g_jax._src.grid.poses import PoseSet, every_heading
+from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.grid.terrain import OUTSIDE
 from dc2g_jax._src.grid.world import World
@@ -82,12 +80,25 @@ class Assessment:
     penalty: Float[Array, "h w *batch"] | None = None
 
 
-class Planner(Protocol):
-    """The interface of a planner. Both methods are pure and traced.
+#: Gives the estimator's answer for a belief and a planner's state.
+Ask = Callable[[Belief, Any], Estimates]
+
+
+class Planner:
+    """The interface of a planner. All methods are pure and traced.
+
+    A class with `init` and `plan` is a planner, whether it derives from this one or not. Everything else may be left
+    out. Define one of these; each one calls the next:
+
+    - `plan`, the next action;
+    - `assess`, the same with its inputs, for figures, recordings and `OnlinePlanner`;
+    - `look`, `ask` and `conclude`, for a planner that asks an estimator now and then. A rollout on a CPU runs each
+      robot by itself until it asks, then asks for all robots together: a network needs less time per map in larger
+      batches, and everything else is faster for a single robot.
 
     Attributes:
       batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
-        network, which needs less time per map in larger batches. May be left out.
+        network.
       knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
         takes what the estimator takes.
     """
@@ -100,53 +111,24 @@ class Planner(Protocol):
 
         Only planners that know the map ahead of time (`Oracle`, an exact estimator) may read the world.
         """
-        ...
-
-    def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
-        """Decide the next action from what has been observed."""
-        ...
-
-    def memoryless(self) -> "Planner":
-        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
-        return self
-
-
-def memoryless(planner: Planner) -> Planner:
-    """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
-    return planner.memoryless() if hasattr(planner, "memoryless") else planner
-
-
-#: Gives the estimator's answer for a belief and a planner's state.
-Ask = Callable[[Belief, Any], Estimates]
-
-
-class AssessingPlanner(Planner, Protocol):
-    """A planner that returns the inputs of its decisions."""
-
-    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
-        """Decide the next action, and return the inputs. Compilation removes unused ones."""
-        ...
+        raise NotImplementedError("a planner needs a method init")
 
     def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
         """Decide the next action from what has been observed."""
         assessment, state = self.assess(belief, state)
         return assessment.plan, state
 
-
-class AskingPlanner(AssessingPlanner):
-    """A planner that asks an estimator now and then.
-
-    A rollout on a CPU runs each robot by itself until it asks, then asks for all robots together: a network needs less
-    time per map in larger batches, and everything else is faster for a single robot.
-    """
+    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+        """Decide the next action, and return the inputs. Compilation removes unused ones."""
+        return self.conclude(belief, state, self.look(belief, state), self.ask)
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
         """Whether the estimator is asked, and what else the decision depends on but its answer."""
-        raise NotImplementedError
+        raise NotImplementedError("a planner needs a method plan")
 
     def ask(self, belief: Belief, state: Any) -> Estimates:
         """The estimator's answer."""
-        raise NotImplementedError
+        raise NotImplementedError("a planner with a method look needs a method ask")
 
     def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
         """Decide the next action.
@@ -157,19 +139,66 @@ class AskingPlanner(AssessingPlanner):
           looked: the result of `look`.
           ask: `(belief, state) ->` the estimator's answer.
         """
-        raise NotImplementedError
-
-    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
-        """Decide the next action, and return the inputs."""
-        return self.conclude(belief, state, self.look(belief, state), self.ask)
-
-
-class MapRevisingPlanner(Planner, Protocol):
-    """A planner for maps whose cells may change their class, such as maps from a camera."""
+        raise NotImplementedError("a planner with a method look needs a method conclude")
 
     def revised(self, state: Any, changed: Board) -> Any:
-        """The state without what is invalid after these cells changed their class since the last decision."""
-        ...
+        """The state without what is invalid after these cells changed their class, as on maps from a camera."""
+        raise InputError(f"planner {type(self).__name__}: maps change here, and it has no method revised; define one")
+
+    def memoryless(self) -> "Planner":
+        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
+        return self
+
+
+def _inherits(planner: Planner, *methods: str) -> bool:
+    """Whether these methods of a planner are those of `Planner`."""
+    return all(getattr(type(planner), method, None) is getattr(Planner, method) for method in methods)
+
+
+def asks(planner: Planner) -> bool:
+    """Whether a planner decides by `look`, `ask` and `conclude`."""
+    return _inherits(planner, "plan", "assess")
+
+
+def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
+    """A planner's decision and its inputs.
+
+    For a planner that defines `plan`, the candidates are those of the rules on reachable ground, and the nearest wins.
+    """
+    if _inherits(planner, "plan"):
+        return planner.assess(belief, state)
+    plan, state = planner.plan(belief, state)
+    reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
+    return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
+
+
+def memoryless(planner: Planner) -> Planner:
+    """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
+    return planner.memoryless() if isinstance(planner, Planner) else planner
+
+
+def sensing_of(planner: Planner, given: Kernel | None = None, name: str | None = None) -> Kernel:
+    """The field of view of a planner's robots: that of its rules.
+
+    Args:
+      planner: the planner.
+      given: the field of view of planners without rules, such as `Oracle`; for others, it must be that of the rules.
+      name: name of the planner for the message; `None` for that of its class.
+
+    Raises:
+      InputError: it is missing or another one.
+    """
+    rules, who = getattr(planner, "rules", None), f"planner {name or type(planner).__name__!r}"
+    sensing = given if rules is None else rules.sensing
+    if sensing is None:
+        raise InputError(f"{who}: has no rules that tell what its robots see; give sensing")
+    if given not in (None, sensing):
+        kind = "" if sensing.radius != given.radius else " of another kind"
+        raise InputError(
+            f"{who}: was made for a field of view of {sensing.radius} cells, and the robots here have one of "
+            f"{given.radius}{kind}; make it with the same settings and sensing_range"
+        )
+    return sensing
 
 
 def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Array, "*batch"]) -> Plan:
@@ -186,7 +215,7 @@ def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Ar
 
 
 @struct.dataclass
-class Oracle(AssessingPlanner):
+class Oracle(Planner):
     """Shortest plan to the nearest goal on the whole map: the lower bound for all planners."""
 
     def init(self, world: World) -> tuple[Board, Board]:
@@ -225,35 +254,6 @@ def reachable_cells(belief: Belief, before: Board) -> Board:
     return bitboard.flood(robot | before, belief.traversable)
 
 
-def _depth(planner: Planner, *names: str) -> int:
-    """Position in the order of a planner's classes of the first one that defines any of these methods."""
-    classes = type(planner).__mro__
-    return next((depth for depth, kind in enumerate(classes) if not vars(kind).keys().isdisjoint(names)), len(classes))
-
-
-def asks(planner: Planner) -> TypeGuard[AskingPlanner]:
-    """Whether a planner's decisions are those of `AskingPlanner`, rather than of a subclass with its own `plan`."""
-    return isinstance(planner, AskingPlanner) and _depth(planner, "conclude") <= _depth(planner, "assess", "plan")
-
-
-def assesses(planner: Planner) -> TypeGuard[AssessingPlanner]:
-    """Whether a planner's `assess` describes its decisions, rather than those before a subclass with its own `plan`."""
-    return _depth(planner, "assess") <= _depth(planner, "plan")
-
-
-def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
-    """A planner's decision and its inputs.
-
-    For a planner without `assess`, the candidates are those of the rules on reachable ground, and the nearest wins. The
-    same holds for a subclass with its own `plan` and an inherited `assess`, which would describe another plan.
-    """
-    if assesses(planner):
-        return planner.assess(belief, state)
-    plan, state = planner.plan(belief, state)
-    reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
-    return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
-
-
 def distances_and_scores(
     belief: Belief, assessment: Assessment
 ) -> tuple[Int[Array, "heading h w *batch"], Float[Array, "h w *batch"]]:
@@ -286,7 +286,7 @@ def explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, rul
 
 
 @struct.dataclass
-class Frontier(AssessingPlanner):
+class Frontier(Planner):
     """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
@@ -349,7 +349,7 @@ def at_once(ask: Callable[[Array], Estimates], terrain: UInt8[Array, "h w *batch
 
 
 @struct.dataclass
-class DC2G(AskingPlanner):
+class DC2G(Planner):
     """Deep Cost-to-Go (Algorithm 2): go to the frontier-expanding pose with the lowest estimated cost-to-go.
 
     Candidates are the frontier-expanding poses of the rules that reveal something when reached; if there are none, all
@@ -374,8 +374,8 @@ class DC2G(AskingPlanner):
       patience: penalty for staying near promising cells that reveal no goal.
       replan_fraction: share of the cells in the field of view that must be newly seen before the planner decides anew;
         it also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
-      magnifies: whether the estimator is given a part of the map of a town, see
-        `estimation.extents.TownWindow`.
+      town_side: side of the square around the robot that the estimator is given in a town, in cells, see
+        `estimation.extents.TownWindow`; `None` for the estimator's own extent everywhere.
       memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
     """
 
@@ -388,14 +388,15 @@ class DC2G(AskingPlanner):
     headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     replan_fraction: float = struct.field(pytree_node=False, default=0.0)
-    magnifies: bool = struct.field(pytree_node=False, default=False)
+    town_side: int | None = struct.field(pytree_node=False, default=None)
     memory: bool = struct.field(pytree_node=False, default=True)
     batch_per_core: ClassVar[int] = 16
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
-        estimator = padded(self.estimator)
-        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, magnifies=False, memory=False)
+        return dataclasses.replace(
+            self, estimator=padded(self.estimator), patience=ENDLESS, town_side=None, memory=False
+        )
 
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
@@ -411,15 +412,10 @@ class DC2G(AskingPlanner):
         )
         return ExplorationState(nothing, choice, jnp.zeros(told.shape[1:], jnp.int32), estimator_state)
 
-    @property
-    def _known_side(self) -> int:
-        """Longer side of the maps that the estimator knows, in cells."""
-        return trait(self.estimator, "side") or Architecture.side
-
     def _extent(self, world: World) -> Extent:
         """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
-        side = self._known_side
-        if not self.magnifies or max(world.height, world.width) <= side:
+        side = self.town_side
+        if side is None or max(world.height, world.width) <= side:
             return extent_of(self.estimator)
         zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
         return TownWindow(zooms, side)

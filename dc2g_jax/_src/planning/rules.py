@@ -11,7 +11,7 @@ from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, every_heading, with_headings
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel, expanding_kernel, field_of_view, line_of_sight
+from dc2g_jax._src.grid.sensing import Kernel, check_sensing_range, expanding_kernel, field_of_view, line_of_sight
 from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.planning import frontiers
 
@@ -30,8 +30,8 @@ class Rules:
     """
 
     sensing: Kernel
-    frontier_expanding: Callable[[Belief, Board], PoseSet]
-    goal_poses: Callable[[Belief, Board, Board], PoseSet]
+    frontier_expanding: Callable[[Belief, Board], PoseSet] = dataclasses.field(repr=False)
+    goal_poses: Callable[[Belief, Board, Board], PoseSet] = dataclasses.field(repr=False)
     expanding_range: int | None = None
     reach: int | None = None
 
@@ -105,7 +105,7 @@ class Settings:
     name: str
     sensing_range: int
     expanding_range: int | None
-    make_rules: Callable[[int, int | None], Rules]
+    make_rules: Callable[[int, int | None], Rules] = dataclasses.field(repr=False)
 
     def rules(self, sensing_range: int | None = None, expanding_range: int | None = None) -> Rules:
         """The rules for these ranges. `None` stands for the default.
@@ -117,8 +117,8 @@ class Settings:
           InputError: a range is out of bounds, or an expanding range is given for rules without a frontier-expanding
             kernel.
         """
-        if sensing_range is not None and sensing_range not in range(1, MAX_SENSING_RANGE + 1):
-            raise InputError(f"sensing range {sensing_range}: give a whole number of 1 to {MAX_SENSING_RANGE} cells")
+        if sensing_range is not None:
+            check_sensing_range("sensing range", sensing_range)
         if sensing_range in (None, self.sensing_range):
             sensing_range = self.sensing_range
             expanding_range = self.expanding_range if expanding_range is None else expanding_range

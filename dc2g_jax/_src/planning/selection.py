@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -12,7 +12,7 @@ from dc2g_jax._src.grid.poses import Pose
 _Summary = TypeVar("_Summary", bound=Callable[..., Any])
 
 
-class Selection(Protocol):
+class Selection:
     """Scores subgoals; the lowest score wins. Hashable, so that it can be a static argument of `jit`.
 
     Attributes:
@@ -20,10 +20,7 @@ class Selection(Protocol):
         as in the paper.
     """
 
-    @property
-    def distance_weight(self) -> float:
-        """See above."""
-        ...
+    distance_weight: float
 
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The part of an estimate that scores need, for any pose of the robot. The planner stores it.
@@ -31,18 +28,18 @@ class Selection(Protocol):
         Args:
           costs: equally likely costs-to-go of every cell, in ascending order.
         """
-        ...
+        raise NotImplementedError
 
     def __call__(
         self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
-        """Score of each cell as a subgoal.
+        """Score of each cell as a subgoal: the cost that the summary holds, plus weighted distance.
 
         Args:
           summary: summary of the estimate.
           distance: actions from the robot to every cell; arbitrary if `distance_weight` is 0.
         """
-        ...
+        return summary[0] + self.distance_weight * distance
 
 
 def mean_of(values: Sequence[Array] | Array) -> Array:
@@ -100,20 +97,8 @@ class Patience:
 ENDLESS = Patience(radius=0, decisions=0, price=0.0)
 
 
-class _OneCost:
-    """One cost for every cell, plus weighted distance."""
-
-    distance_weight: float
-
-    def __call__(
-        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
-    ) -> Float[Array, "h w *batch"]:
-        """Score of each cell as a subgoal."""
-        return summary[0] + self.distance_weight * distance
-
-
 @dataclasses.dataclass(frozen=True)
-class ExpectedCost(_OneCost):
+class ExpectedCost(Selection):
     """Mean cost-to-go plus weighted distance: distant subgoals must promise more than close ones.
 
     Weight 0 is the paper's rule (Algorithm 2, line 11).
@@ -128,7 +113,7 @@ class ExpectedCost(_OneCost):
 
 
 @dataclasses.dataclass(frozen=True)
-class QuantileCost(_OneCost):
+class QuantileCost(Selection):
     """A quantile of the cost-to-go plus weighted distance: risk-averse above 1/2, optimistic below 1/2.
 
     Attributes:

@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -16,11 +15,10 @@ from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, every_heading, make_pose
-from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.sensing import Kernel, field_of_view
 from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner
-from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, sensing_of
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.evaluation import action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
@@ -64,7 +62,6 @@ def _robots() -> tuple[World, Episodes]:
 
 
 def _one(tree: Any, index: Any) -> Any:
-    """One or several members of a batch."""
     return jax.tree.map(lambda leaf: leaf[..., index], tree)
 
 
@@ -95,21 +92,8 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path) or "the value"
 
 
-def _traced(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Shapes and dtypes of what a function returns, without computing it."""
-    try:
-        return jax.eval_shape(function, *arguments)
-    except InputError:
-        raise
-    except Exception as error:
-        first_line = str(error).partition("\n")[0]
-        branches = isinstance(error, jax.errors.TracerBoolConversionError)
-        remedy = "; use jnp.where or jax.lax.cond instead of if, and, or" if branches else ""
-        raise InputError(f"{who}: {what} raises {type(error).__name__}: {first_line}{remedy}") from error
-
-
-def _unchanged(who: str, method: str) -> Callable[..., Any]:
-    """The method of a planner or an estimator, checked not to change its arguments or the object itself."""
+def _traced(who: str, method: str, of: str, tested: Any, *arguments: Any) -> Any:
+    """Types of what a method returns, without computing it, checked to be all that it does."""
 
     def call(tested: Any, *arguments: Any) -> Any:
         before: Any = jax.tree.flatten((tested, arguments))
@@ -119,7 +103,15 @@ def _unchanged(who: str, method: str) -> Callable[..., Any]:
             raise InputError(f"{who}: {method} changes its arguments or itself; expected a pure function")
         return answer
 
-    return call
+    try:
+        return jax.eval_shape(call, tested, *arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        first_line = str(error).partition("\n")[0]
+        branches = isinstance(error, jax.errors.TracerBoolConversionError)
+        remedy = "; use jnp.where or jax.lax.cond instead of if, and, or" if branches else ""
+        raise InputError(f"{who}: {method} for {of} raises {type(error).__name__}: {first_line}{remedy}") from error
 
 
 def _types(tree: Any, weak: bool = False) -> dict[str, str]:
@@ -131,31 +123,24 @@ def _types(tree: Any, weak: bool = False) -> dict[str, str]:
 
 
 def _expect(who: str, what: str, expected: dict[str, str], found: dict[str, str]) -> None:
-    """Check the types of all leaves."""
     for name in expected | found:
         wanted, got = expected.get(name, "no such value"), found.get(name, "missing")
         if wanted != got:
             raise InputError(f"{who}: {what}, {name} is {got}; expected {wanted}")
 
 
-def _batch_of(tree: Any, count: int) -> Any:
-    """The types of a batch, given those of one member: the batch axis comes last."""
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape, count), leaf.dtype), tree)
-
-
 def _check_states(who: str, tested: Any, world: World, worlds: World) -> tuple[Any, Any]:
     """Types of the first state of one robot and of a batch, checked to have the batch axis last."""
-    one, many = (
-        _traced(who, f"init for {of}", _unchanged(who, "init"), tested, given)
-        for of, given in (("one robot", world), ("a batch", worlds))
-    )
-    _expect(who, "state of a batch", _types(_batch_of(one, worlds.goals.shape[-1])), _types(many))
+    one, many = (_traced(who, "init", of, tested, given) for of, given in (("one robot", world), ("a batch", worlds)))
+    count = worlds.goals.shape[-1]
+    expected = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape, count), leaf.dtype), one)
+    _expect(who, "state of a batch", _types(expected), _types(many))
     return one, many
 
 
 def _check_plan(who: str, of: str, planner: Planner, belief: Belief, state: Any) -> None:
     """Check types of the plan and of the state after it, for one robot or a batch."""
-    answer = _traced(who, f"plan for {of}", _unchanged(who, "plan"), planner, belief, state)
+    answer = _traced(who, "plan", of, planner, belief, state)
     if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], Plan)):
         raise InputError(f"{who}: plan returns {short(type(answer).__name__)}; expected a tuple of a Plan and a state")
     number = belief.pose.x
@@ -274,12 +259,12 @@ def check_planner(planner: Planner) -> None:
       InputError: the first of these that does not hold, with what was expected and what was found.
     """
     who = _check_tree("planner", planner, "init", "plan")
-    batch = getattr(planner, "batch_per_core", 1)
+    batch = getattr(planner, "batch_per_core", Planner.batch_per_core)
     if not (isinstance(batch, int) and batch > 0):
         raise InputError(f"{who}: batch_per_core is {short(batch)}; expected a number of robots, 1 or more")
     if hasattr(planner, "estimator"):
         check_estimator(planner.estimator)
-    sensing = getattr(planner, "rules", complete_rules(_SENSING_RANGE)).sensing
+    sensing = sensing_of(planner) if hasattr(planner, "rules") else field_of_view(_SENSING_RANGE)
     worlds, episodes = _robots()
     robots_worlds = _one(worlds, episodes.world)
     one_world, one_start = _one((robots_worlds, episodes.start), 0)
@@ -298,15 +283,7 @@ def check_planner(planner: Planner) -> None:
     for number, index in enumerate(episodes.world.tolist()):
         world, start = _one(worlds, index), _one(episodes.start, number)
         acted.append(alone.actions(f"episode {number}", world, start, ground[index]))
-    done = rollout(
-        planner,
-        worlds,
-        episodes,
-        sensing=sensing,
-        step_limit=STEP_LIMIT,
-        slots=_SLOTS,
-        devices=jax.local_devices()[:1],
-    )
+    done = rollout(planner, worlds, episodes, sensing=sensing, slots=_SLOTS, devices=jax.local_devices()[:1])
     for number, letters in enumerate(acted):
         in_batch = action_letters(done, number)
         if letters != in_batch:
@@ -354,11 +331,11 @@ def check_estimator(estimator: Estimator) -> None:
     # Two programs: the second is traced anew.
     estimate, again = (jit(lambda estimator, *arguments: estimator.estimate(*arguments)) for _ in range(2))
     equal = functools.partial(np.allclose, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
-    first_views = gridworld.reset(worlds, episodes.start, complete_rules(_SENSING_RANGE).sensing)
+    first_views = gridworld.reset(worlds, episodes.start, field_of_view(_SENSING_RANGE))
     for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, episodes.start))):
         terrain = extent_of(estimator).part(belief.terrain, belief.pose)
         for of, part, kept in (("one map", _one(terrain, 0), states[0]), (f"{count} maps", terrain, states[1])):
-            answer = _traced(who, f"estimate of {of}", _unchanged(who, "estimate"), estimator, part, kept)
+            answer = _traced(who, "estimate", of, estimator, part, kept)
             if not jnp.issubdtype(answer.dtype, jnp.floating) or answer.shape[1:] != part.shape or not answer.shape[0]:
                 expected = ", ".join(map(str, ("outcomes", *part.shape)))
                 raise InputError(

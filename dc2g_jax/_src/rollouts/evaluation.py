@@ -22,7 +22,7 @@ from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
-from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
+from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import (
     PROCEDURAL,
@@ -450,11 +450,5 @@ def _made(name: str, source: PlannerSource, rules: Rules, estimator: Estimator |
         return planner_with(source, rules, estimator)
     ready = hasattr(source, "plan") and not isinstance(source, type)
     planner: Any = source if ready else source(rules)  # type: ignore[operator]
-    sensing = getattr(planner, "rules", rules).sensing
-    if sensing != rules.sensing:
-        kind = "" if sensing.radius != rules.sensing.radius else " of another kind"
-        raise InputError(
-            f"planner {name!r}: was made for a field of view of {sensing.radius} cells, and the robots here have "
-            f"one of {rules.sensing.radius}{kind}; make it with the settings and the sensing_range of the evaluation"
-        )
+    sensing_of(planner, rules.sensing, name)
     return planner

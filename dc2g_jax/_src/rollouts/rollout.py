@@ -7,7 +7,7 @@ finished robots. Every device serves its own queue. Results do not depend on the
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, TypeGuard
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, AskingPlanner, Plan, Planner, asks
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Plan, Planner, asks, sensing_of
 from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 from dc2g_jax._src.rollouts.devices import (
     deal,
@@ -226,13 +226,13 @@ def _record(state: _State) -> _State:
     )
 
 
-def _until_each_asks(planner: Planner, mesh: Mesh) -> TypeGuard[AskingPlanner]:
+def _until_each_asks(planner: Planner, mesh: Mesh) -> bool:
     """Whether robots run one after another, with robots on the first axis of the slots: see `_alone`."""
     return platform(mesh) == "cpu" and asks(planner)
 
 
 def _alone(
-    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: AskingPlanner, sensing: Kernel, step_limit: int
+    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: Planner, sensing: Kernel, step_limit: int
 ) -> _State:
     """Run robots one after another, each until it asks the estimator, then ask for all of them.
 
@@ -381,7 +381,7 @@ def rollout(
     worlds: World,
     episodes: Episodes,
     *,
-    sensing: Kernel,
+    sensing: Kernel | None = None,
     step_limit: int = STEP_LIMIT,
     slots: int | None = None,
     devices: Sequence[jax.Device] | None = None,
@@ -394,7 +394,7 @@ def rollout(
       planner: planner of the robots.
       worlds: stack of worlds of one size, along the last axis.
       episodes: world index and first pose of each episode.
-      sensing: field of view of the robots.
+      sensing: field of view of the robots; `None` for that of the planner's rules. Planners without rules need one.
       step_limit: actions after which an episode ends without success.
       slots: number of robots simulated side by side on each device; `None` for the default of the device.
       devices: devices to run on; `None` for all, see `rollouts.devices.use_devices`.
@@ -405,10 +405,11 @@ def rollout(
       Results in the order of the episodes, as NumPy arrays.
 
     Raises:
-      InputError: `worlds` is no such stack.
+      InputError: `worlds` is no such stack, or the field of view is missing or not that of the planner's rules.
     """
     words = bitboard.word_count(worlds.width)
     gridworld.check_axes("goals of the stacked worlds", worlds.goals.shape, words, "h", "worlds")
+    sensing = sensing_of(planner, sensing)
     n_episodes = len(episodes)
     if n_episodes == 0:
         empty = np.zeros(0, np.int32)

@@ -19,7 +19,7 @@ from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.label_noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax._src.grid.sampling import sample_grid
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.grid.sensing import check_sensing_range
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.procedural import procedural_training_houses
@@ -80,8 +80,10 @@ class DataConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.data_seed < _VALIDATION_SEED:
             raise InputError(f"data seed {self.data_seed}: give one from 0 to {_VALIDATION_SEED - 1}")
-        if not self.ranges or not 1 <= min(self.ranges) <= max(self.ranges) <= MAX_SENSING_RANGE:
-            raise InputError(f"sensing ranges {self.ranges}: give one at least, each of 1 to {MAX_SENSING_RANGE} cells")
+        if not self.ranges:
+            raise InputError("no sensing range: give at least one")
+        for reach in self.ranges:
+            check_sensing_range("sensing range", reach)
         for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} {getattr(self, name)}: give at least 1")

@@ -26,7 +26,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax import grid
-from dc2g_jax.planning import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
+from dc2g_jax.planning import EXPLORE, GAVE_UP, TO_GOAL, Planner
 from dc2g_jax.robot.driving._pedestrians import (
     NOWHERE,
     PERSON_RADIUS,
@@ -93,7 +93,7 @@ class Equipment:
       frame_periods: control periods between two camera frames.
     """
 
-    planner: MapRevisingPlanner
+    planner: Planner
     sensing: grid.Kernel = struct.field(pytree_node=False)
     camera: Intrinsics
     mapping: MapSettings
