@@ -4,8 +4,8 @@
 from ._src.planning.named import make_planner as make_planner
 from ._src.planning.named import PLANNERS as PLANNERS
 from ._src.rollouts.evaluation import evaluate as evaluate
-from ._src.rollouts.evaluation import Results as Results
-from ._src.rollouts.evaluation import EpisodeResult as EpisodeResult
+from ._src.rollouts.results import Results as Results
+from ._src.rollouts.results import EpisodeResult as EpisodeResult
 from ._src.training.train import train as train
 from ._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from ._src.training.cost_to_go_data import DataConfig as DataConfig

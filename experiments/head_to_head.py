@@ -13,7 +13,7 @@ from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.results_figures import plot_head_to_head
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.files.tables import write_table
+from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import published_episodes
 from experiments.support import published
@@ -54,9 +54,8 @@ def _print_comparison(tables: dict[str, dict[str, Any]]) -> None:
         ("frontier / dc2g - 1, ours %", "{frontier_over_dc2g:.1f}"),
         ("frontier / dc2g - 1, authors' %", "{authors_frontier_over_dc2g:.1f}"),
     )
-    print(f"\n{'':34}" + "".join(f"{group:>20}" for group in tables))
-    for label, cell in rows:
-        print(f"{label:34}" + "".join(f"{cell.format(**table):>20}" for table in tables.values()))
+    cells = ((label, *(cell.format(**table) for table in tables.values())) for label, cell in rows)
+    print(f"\n{text_table(('', *tables), cells)}")
 
 
 def main(options: Options) -> None:
@@ -71,7 +70,7 @@ def main(options: Options) -> None:
     network = network_for([options.planner], options.network)
     out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
     both = tuple(dict.fromkeys(("frontier", options.planner)))
-    ran = EpisodeTable(out / "episodes.csv").published(dataset, both, network)
+    ran = published.run_published(EpisodeTable(out / "episodes.csv"), dataset, both, network)
     frontier, ours = ([one for one in ran if one.planner == name] for name in ("frontier", options.planner))
     pairs = published.pair_up(published_episodes(), frontier, ours)
     groups = published.by_group(pairs)

@@ -3,7 +3,7 @@
 import pytest
 
 from dc2g_jax._src.readers.starts import published_episodes
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from experiments.support.published import (
     EpisodePair,
     compare,

@@ -14,7 +14,8 @@ from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
+from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from, evaluate
+from dc2g_jax._src.rollouts.results import Results
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of
 
@@ -208,28 +209,3 @@ def test_evaluate_refuses_before_anything_runs(dataset):
         refusal(lambda unnamed=unnamed: evaluate(unnamed, dataset), "is no name", "mapping, such as")
     refusal(lambda: evaluate({"mine": lambda rules: rules}, dataset), "'mine'", "has no init", "check_planner")
     refusal(lambda: evaluate("builtins:repr", dataset), "'builtins:repr'", "has no init", "check_planner")
-
-
-def test_results_are_summarized_and_saved(dataset, tmp_path):
-    results = evaluate(["frontier", "oracle"], dataset, starts=STARTS[1:3])
-    summary = results.summary()
-    assert list(summary) == ["frontier", "oracle"]
-    assert summary["frontier"].mean_extra == pytest.approx(np.mean([one.extra for one in results.of("frontier")]))
-    assert (summary["oracle"].mean_extra, summary["oracle"].success, summary["oracle"].episodes) == (0, 1, 2)
-    header, *lines = str(results).splitlines()
-    assert [line.split()[0] for line in (header, *lines)] == ["planner", "frontier", "oracle"]
-    assert {len(line) for line in lines} == {len(header)}
-    results.save(tmp_path / "episodes.csv")
-    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + len(results)
-
-
-def test_values_of_a_row_that_contradict_each_other_are_refused():
-    row = EpisodeResult("left", 0, 0, 0, 1, None, "frontier", False, 0, 4, -100.0, "gave_up")
-    row.check()
-    row._replace(heading=3, steps=6, extra=50.0, actions="FFLRFF").check()
-    wrong = {"x": -1, "y": -1, "heading": 4, "range": -1, "steps": 3, "actions": "F", "extra": 0.0}
-    for name, value in wrong.items():
-        with pytest.raises(ValueError, match=name):
-            row._replace(**{name: value}).check()
-    with pytest.raises(ValueError, match="letters F, L, R"):
-        row._replace(steps=1, extra=-75.0, actions="X").check()

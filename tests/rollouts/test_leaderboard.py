@@ -6,8 +6,8 @@ import re
 import pytest
 
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.leaderboard import in_order, leaders, page, standings
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 #: Steps of each planner from three starts on two mazes, and from one in a house; the last start of `slow` fails.
 STEPS = {"oracle": (5, 10, 10, 20), "frontier": (10, 20, 40, 50), "fast": (5, 10, 20, 60), "slow": (20, 40, 80, 3)}

@@ -22,7 +22,8 @@ from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import PublishedEpisode, Start
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.evaluation import Runner
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task

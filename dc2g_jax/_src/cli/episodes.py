@@ -5,12 +5,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.planning.rules import SETTINGS
-from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.readers.starts import Start, published_episodes
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Planners, Runner, by_name
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.files.rows import ResumableTable
+from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.rollouts.evaluation import Planners, Runner, by_name
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 #: Maximum number of episodes of a planner to run and write together. It limits memory, and the loss after a kill.
 EPISODES_A_SHARD = 65_536
@@ -42,13 +40,6 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
           InputError: the file holds other episodes; or see `Runner.run`.
         """
         return [result for shard in self.shards(runner, starts, planners, estimator) for result in shard]
-
-    def published(
-        self, dataset: HouseDataset, planners: Sequence[str], network: Estimator | None
-    ) -> list[EpisodeResult]:
-        """Results of the paper's 400 episodes, planner by planner."""
-        runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-        return self.run(runner, [episode.start for episode in published_episodes()], planners, network)
 
     def shards(
         self,

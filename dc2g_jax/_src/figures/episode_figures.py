@@ -41,7 +41,7 @@ from dc2g_jax._src.grid.poses import Pose, make_pose, moved
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax._src.readers.houses import House
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import NO_ACTION
 
 _GRAY = "#444444"

@@ -19,11 +19,8 @@ from matplotlib.typing import ColorType
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, Standings, in_order
-from dc2g_jax._src.rollouts.statistics import Summary
-
-Table = Mapping[str, Mapping[str, Summary]]
+from dc2g_jax._src.rollouts.results import EpisodeResult, Table
 
 #: Width of figures, inches: the two columns of a page, so that text has its final size.
 PAGE_WIDTH = 7.16

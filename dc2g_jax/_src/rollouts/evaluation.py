@@ -3,8 +3,7 @@
 import collections
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +21,7 @@ from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
-from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
+from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Oracle, Planner
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import (
     PROCEDURAL,
@@ -34,9 +33,9 @@ from dc2g_jax._src.readers.houses import (
 )
 from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, usable_houses, why_no_start
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.results import write_rows
+from dc2g_jax._src.rollouts.results import EpisodeResult, Results
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
-from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, extra_steps, tabulate
+from dc2g_jax._src.rollouts.statistics import extra_steps
 
 #: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
@@ -44,99 +43,11 @@ _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 #: Actions for each cell of the longest way to a goal, at least.
 _STEPS_A_CELL_OF_WAY = 4
 
-#: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
-_ROUNDING = 0.1
-
 #: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
 PlannerSource = str | Planner | Callable[[Rules], Planner]
 
 #: Names for `planner_with`; or a mapping from a name of your choice to one of these, or to another source.
 Planners = Iterable[str] | Mapping[str, PlannerSource]
-
-
-class EpisodeResult(NamedTuple):
-    """One episode of one planner, a row of `episodes.csv`.
-
-    Attributes:
-      house: name of the house.
-      x: first column.
-      y: first row.
-      heading: first heading.
-      range: range of the field of view, in cells.
-      expanding_range: range of the frontier-expanding kernel in cells, `None` if the rules have none.
-      planner: name of the planner.
-      success: whether the robot reached a goal within the step limit.
-      steps: number of actions.
-      oracle_steps: number of actions of the oracle from the same start.
-      extra: extra steps beyond the oracle's, in percent.
-      mode: plan mode of the last decision.
-      actions: the actions as letters F, L, R; empty if the planner gave up at once.
-    """
-
-    house: str
-    x: int
-    y: int
-    heading: int
-    range: int
-    expanding_range: int | None
-    planner: str
-    success: bool
-    steps: int
-    oracle_steps: int
-    extra: float
-    mode: Mode
-    actions: str = ""
-
-    def check(self) -> None:
-        """Check that the values of a row belong together, such as one that was read from a file.
-
-        Raises:
-          ValueError: they do not.
-        """
-        if min(self.x, self.y, self.heading, self.range, self.steps) < 0 or self.heading >= HEADINGS:
-            raise ValueError(f"x {self.x}, y {self.y}, heading {self.heading}, range {self.range}, {self.steps} steps")
-        if set(self.actions) - set(ACTION_LETTERS):
-            raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
-        if self.actions and len(self.actions) != self.steps:
-            raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
-        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
-            raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
-
-
-class Results(tuple[EpisodeResult, ...]):
-    """A tuple of results of one or more planners: planner by planner, each in the order of the starts.
-
-    `print(results)` shows the summary of each planner.
-    """
-
-    def of(self, planner: str) -> "Results":
-        """The episodes of one planner."""
-        return Results(result for result in self if result.planner == planner)
-
-    def summary(self) -> dict[str, Summary]:
-        """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
-        episodes = (ExtraSteps(one.planner, "all", one.house, one.extra, one.success) for one in self)
-        return {planner: row["all"] for planner, row in tabulate(episodes, ("all",)).items()}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""
-        write_rows(Path(path), EpisodeResult, self)
-
-    def __str__(self) -> str:
-        """See `as_text`."""
-        return as_text(self.summary())
-
-
-def as_text(table: Mapping[str, Summary]) -> str:
-    """A table: extra steps beyond the oracle and success, a line for each planner."""
-    width = max(map(len, ("planner", *table)))
-    lines = [f"{'planner':{width}}   extra steps %: mean   median   success %   episodes"]
-    for planner, row in table.items():
-        lines.append(
-            f"{planner:{width}}{row.mean_extra:>22.1f}{row.median_extra:>9.1f}{100 * row.success:>12.1f}"
-            f"{row.episodes:>11,}"
-        )
-    return "\n".join(lines)
 
 
 def action_letters(trajectories: Trajectories, episode: int) -> str:

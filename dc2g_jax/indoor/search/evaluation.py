@@ -12,13 +12,14 @@ All metrics refer to the true house:
 """
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from dc2g_jax.files import text_table
 from dc2g_jax.grid import geodesic_distance
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.learning.losses import OF_CLASSES
@@ -244,10 +245,6 @@ def with_interval(value: Mean, sign: str = "") -> str:
     return f"{middle} ({low} to {high})"
 
 
-def _lines(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> str:
-    return "\n".join("  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows)
-
-
 def table1(summaries: Mapping[str, SearchSummary]) -> str:
     """Table I: a row for each agent, given by name, followed by the paper's row if it has one."""
 
@@ -256,12 +253,13 @@ def table1(summaries: Mapping[str, SearchSummary]) -> str:
         shares = (share(one[name]) for name in ("success", "spl"))
         return [title, *shares, f"{one['distance']:.2f}", f"{one['steps']:.1f}", *pairs]
 
-    rows = [["", "success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3"]]
+    columns = ("", "success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3")
+    rows = []
     for name, one in summaries.items():
         rows.append(row(AGENT_TITLES[name], one._asdict(), with_interval))
         if name in PAPER_TABLE1:
             rows.append(row("the paper's", PAPER_TABLE1[name], "{:.3f}".format))
-    return _lines(rows, (25, 22, 22, 5, 5, 16, 17))
+    return text_table(columns, rows)
 
 
 def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, SearchSummary]) -> str:
@@ -271,8 +269,8 @@ def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, S
       metrics: `METRICS` and `OF_CLASSES` of each network, given by the name of its inputs, in percent.
       summaries: the searches that each network led.
     """
-    rows = [["", *(f"{name} %" for name in METRICS), "success", "SPL", "DTS m"]]
-    of_classes = [["", *(f"{score} %" for score in OF_CLASSES)]]
+    columns = ("", *(f"{name} %" for name in METRICS), "success", "SPL", "DTS m")
+    rows, of_classes = [], []
     for name, one in summaries.items():
         ours = [metrics[name][metric] for metric in METRICS], one.success.mean, one.spl.mean, one.distance
         for title, line in ((ABLATION_TITLES[name], ours), ("the paper's", PAPER_TABLE2[name].values())):
@@ -280,4 +278,5 @@ def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, S
             rows.append([title, *map("{:.2f}".format, percent), f"{success:.3f}", f"{spl:.3f}", f"{distance:.2f}"])
         of_classes.append([ABLATION_TITLES[name], *(f"{metrics[name][score]:.2f}" for score in OF_CLASSES)])
     of_classes.append(["the paper's (both)", *map("{:.2f}".format, _PAPER_OF_CLASSES)])
-    return f"{_lines(rows, (18, *[7] * 8))}\n\n{_lines(of_classes, (18, *[14] * len(OF_CLASSES)))}"
+    scores = text_table(("", *(f"{score} %" for score in OF_CLASSES)), of_classes)
+    return f"{text_table(columns, rows)}\n\n{scores}"

@@ -20,8 +20,9 @@ from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.families import FAMILIES, family_of, gather
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start, sample_starts
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, leaders, page, standings
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 #: The planner that all are compared with.
 _REFERENCE = "frontier"

@@ -16,8 +16,9 @@ from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import read_starts
-from dc2g_jax._src.rollouts.evaluation import Runner, as_text
+from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import as_text
 from dc2g_jax._src.rollouts.statistics import summarize
 
 
