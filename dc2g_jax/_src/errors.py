@@ -83,11 +83,20 @@ def check_number(
         return
     kind = "a whole number" if whole else "a number"
     if least > -math.inf and most < math.inf:
-        bounds = f" from {least:g} to {most:g}"
+        bounds = f" from {least:.12g} to {most:.12g}"
     else:
         limits = ((" above", above), (" of at least", least), (" of at most", most))
-        bounds = " and".join(f"{words} {limit:g}" for words, limit in limits if math.isfinite(limit))
+        bounds = " and".join(f"{words} {limit:.12g}" for words, limit in limits if math.isfinite(limit))
     raise InputError(f"{name} {short(value)}: give {kind}{bounds}{hint and ' '}{hint}")
+
+
+def check_seed(seed: Any, name: str = "seed") -> None:
+    """Check a random seed.
+
+    Raises:
+      InputError: it is not a whole number, negative, or has more than 32 bits.
+    """
+    check_number(name, seed, whole=True, least=0, most=2**32 - 1)
 
 
 def check_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> None:

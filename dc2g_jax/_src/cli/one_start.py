@@ -13,12 +13,11 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.animation import animate
 from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax._src.figures.replay import replay_result
-from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
@@ -57,15 +56,6 @@ class OneStartOptions(NetworkOptions, OutOptions):
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
     no_figures: bool = False
     no_record: bool = False
-
-    def check_sensing_range(self) -> None:
-        """Check that the sensing range is supported.
-
-        Raises:
-          InputError: it is not.
-        """
-        if not 1 <= self.sensing_range <= MAX_SENSING_RANGE:
-            raise InputError(f"--sensing-range {self.sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
 
 
 def run_one_start(
@@ -116,14 +106,14 @@ def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -
         f"{house.name}: {width} x {height} cells, {first.range}-cell sensing, start at column {first.x}, "
         f"row {first.y}, heading {('right', 'down', 'left', 'up')[first.heading]}"
     )
-    width = max(16, *(len(result.planner) + 1 for result in results))
-    print(f"{'planner':{width}}{'steps':>8}{'extra steps':>14}   outcome")
+    rows = []
     for result in results:
         outcome = "reached the goal" if result.success else f"stopped at the limit of {limit} steps"
         if not result.success and result.mode == MODE_NAMES[GAVE_UP]:
             outcome = "gave up: nothing left to explore"
         extra = "knows the map" if result.planner == "oracle" else f"{result.extra:.1f} %"
-        print(f"{result.planner:{width}}{result.steps:>8,}{extra:>14}   {outcome}")
+        rows.append((result.planner, f"{result.steps:,}", extra, outcome))
+    print(text_table(("planner", "steps", "extra steps", "outcome"), rows))
 
 
 def _draw(

@@ -22,7 +22,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.evaluation import action_letters
+from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
 
 #: Range of the field of view in cells, for planners without rules.

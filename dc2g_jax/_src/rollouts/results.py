@@ -11,7 +11,10 @@ from dc2g_jax._src.errors import check_name, short
 from dc2g_jax._src.files.rows import write_rows
 from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS
-from dc2g_jax._src.planning.planners import Mode
+from dc2g_jax._src.planning.planners import MODE_NAMES, Mode
+from dc2g_jax._src.planning.rules import Rules
+from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.rollouts.rollout import Trajectories
 from dc2g_jax._src.rollouts.statistics import Summary, extra_steps, summarize
 
 #: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
@@ -68,6 +71,26 @@ class EpisodeResult(NamedTuple):
             raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
         if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
             raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
+
+
+def action_letters(trajectories: Trajectories, episode: int) -> str:
+    """The actions of one episode as letters F, L, R."""
+    return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
+
+
+def rows_of(
+    name: str, starts: Sequence[Start], rules: Rules, done: Trajectories, oracle_steps: np.ndarray
+) -> list[EpisodeResult]:
+    """Results of one planner's rollout, in the order of the starts."""
+    return [
+        EpisodeResult(
+            *start[:4], rules.sensing.radius, rules.expanding_range, name, bool(done.success[row]), steps, shortest,
+            extra_steps(steps, shortest), MODE_NAMES[done.mode[row]], action_letters(done, row),
+        )
+        for row, (start, steps, shortest) in enumerate(
+            zip(starts, done.steps.tolist(), oracle_steps.tolist(), strict=True)
+        )
+    ]  # fmt: skip
 
 
 class Results(tuple[EpisodeResult, ...]):
