@@ -26,7 +26,8 @@ def test_a_planner_and_a_family_of_ones_own(tmp_path, capsys):
     text = (tmp_path / "out" / "leaderboard.md").read_text()
     assert f"| `{MINE}` | 1.00 | **1.00** |" in text or "| `frontier` | 1.00 | **1.00** |" in text
     assert "| planner | all | yards (2) |" in text
-    assert "12 episodes of 3 planners, yards: " in text
+    assert "12 episodes of 3 planners in 1 family: `" in text
+    assert "split `val`" in text
     assert (tmp_path / "out" / "images" / "leaderboard.png").stat().st_size > 1000
     capsys.readouterr()
     compare.main(dataclasses.replace(options, resume=True))

@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
 from dc2g_jax._src.figures import contact_sheets, results_figures as figures
 from dc2g_jax._src.figures.contact_sheets import contact_pages, plot_contact_page
 from dc2g_jax._src.figures.results_figures import PLANNER_STYLES, plot_house_strips
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS
+from dc2g_jax._src.planning.named import PLANNERS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.statistics import Summary
+from experiments import head_to_head
 from tests.support import toy
 
 
@@ -130,12 +133,13 @@ def test_houses_of_any_size_are_drawn_in_their_colors(shape, tmp_path):
 
 def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch, tmp_path):
     drawn = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    for module in (figures, head_to_head):
+        monkeypatch.setattr(module, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = ("train", "urban", "all")
     planners = (*PLANNER_STYLES, "mine")
     table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30, 6.5, 14.0)) for planner in planners}
     figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
-    figures.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
+    head_to_head.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
     names = {f"n{number:03}": "test" for number in range(25)}
     plot_house_strips(tmp_path / "strips", _results(names), names, "paper")
     assert len(drawn) == 3
@@ -150,7 +154,7 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
     # Bars are told apart without their colors, too.
     fills = [(patch.get_hatch(), patch.get_facecolor()) for patch in drawn[0].legends[0].get_patches()]
     assert len(set(fills)) == len(planners) - 1
-    assert [hatch for hatch, _ in fills].count("") == 3
+    assert [hatch for hatch, _ in fills].count("") == 2
 
 
 @pytest.mark.parametrize("count", [2, 6, 9])
@@ -168,3 +172,15 @@ def test_means_stand_below_their_bars_side_by_side(count, monkeypatch, tmp_path)
     assert [text.get_text() for text in axes.texts] == ["333"] * 5 * count
     assert all(max(label.y1 for label in labels) < box.y0 < box.y1 < axes.get_window_extent().y0 for box in boxes)
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+
+
+def test_a_planner_of_ones_own_has_a_color_of_its_own():
+    named = [style.color for style in PLANNER_STYLES.values()]
+    colors = np.array([to_rgb(color) for color in (*named, *figures.SPARE_COLORS)])
+    apart = np.linalg.norm(colors[:, None] - colors, axis=-1) + np.eye(len(colors))
+    assert apart[len(named) :].min() > 0.2
+    mine, other = "my_planner:Mine", "dc2g (mine)"
+    together = figures.planner_styles([*PLANNERS[:9], other, mine])
+    assert len({style.color for style in together.values()}) == len(together)
+    assert together[other] == figures.planner_style(other)
+    assert figures.planner_style(mine).color in figures.SPARE_COLORS
