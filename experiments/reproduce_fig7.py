@@ -33,7 +33,7 @@ from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
 from dc2g_jax._src.rollouts.statistics import Summary
 from dc2g_jax._src.viewer.recording import record_frames
-from experiments.support.published import PUBLISHED_GROUPS, authors_results, run_published
+from experiments.support.published import PUBLISHED_GROUPS, authors_results, group_by_house, run_published
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,23 +114,26 @@ def table_text(title: str, table: Table, groups: tuple[str, ...]) -> str:
 
 
 def _write_tables(
-    out: Path, tables: dict[str, Table], entries: dict[str, list[EpisodeResult]], group_by_house: Mapping[str, str]
+    out: Path,
+    tables: dict[str, Table],
+    entries: dict[str, list[EpisodeResult]],
+    groups: Mapping[str, Mapping[str, str]],
 ) -> None:
     """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
-    groups = [
+    summaries = [
         (settings, planner, group, *(round(value, 4) for value in summary))
         for settings, table in tables.items()
         for planner, row in table.items()
         for group, summary in row.items()
     ]
-    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), groups)
+    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), summaries)
     rows = []
     for settings, episodes in entries.items():
         houses = dict.fromkeys(one.house for one in episodes)
         for planner, row in tabulate(episodes, (*houses, "all"), {house: house for house in houses}).items():
             for house in houses:
                 values = (round(value, 4) for value in row[house][:_OF_A_HOUSE])
-                rows.append((settings, planner, house, group_by_house[house], *values))
+                rows.append((settings, planner, house, groups[settings][house], *values))
     columns = ("settings", "planner", "house", "group", *Summary._fields[:_OF_A_HOUSE])
     write_table(out / "houses.csv", columns, rows)
 
@@ -167,11 +170,12 @@ def main(options: Options) -> None:
     tables: dict[str, Table] = {}
     entries: dict[str, list[EpisodeResult]] = {}
     results: dict[str, list[EpisodeResult]] = {}
-    groups = {house.name: group_of(house) or "test" for house in dataset.houses}
+    groups: dict[str, dict[str, str]] = {}
     if options.settings != "paper" and dataset.source == "published":
         results["published"] = run_published(table, dataset, options.planner, network)
         entries["published"] = results["published"] + authors_results()
-        tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS, groups)
+        groups["published"] = group_by_house()
+        tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS, groups["published"])
         title = f"The 400 published episodes, 5-cell sensing ({label})"
         print(table_text(title, tables["published"], PUBLISHED_GROUPS))
     elif options.settings != "paper":
@@ -182,7 +186,8 @@ def main(options: Options) -> None:
                 tell_on_stderr(f"Left out: house {house.name}: {reason}")
         results["paper"] = table.run(runner, starts, options.planner, network)
         entries["paper"] = results["paper"]
-        tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS, groups)
+        groups["paper"] = {house.name: group_of(house) or "test" for house in dataset.houses}
+        tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS, groups["paper"])
         houses = len({start.house for start in starts})
         title = f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})"
         print(table_text(title, tables["paper"], _PAPER_GROUPS))
@@ -191,7 +196,7 @@ def main(options: Options) -> None:
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
         compared = [result for result in part if result.planner in drawn(options.planner)]
-        plot_house_strips(out / f"houses_{settings}", compared, groups, settings)
+        plot_house_strips(out / f"houses_{settings}", compared, groups[settings], settings)
         if options.record:
             record(out, dataset, settings, part, network, _RECORDED)
     facts = {

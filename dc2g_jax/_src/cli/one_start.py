@@ -70,14 +70,7 @@ def run_one_start(
 ) -> None:
     """Run the oracle and the planners from one start, print their results and write all files.
 
-    Args:
-      options: options of the command.
-      command: name of the command.
-      name: file name of figure, animation and recording, without extension.
-      house: the map.
-      start: first pose. The sensing range comes from the options.
-      step_limit: actions after which an episode ends without success; `None` for the default for the map's size.
-      warnings: printed before the episodes run.
+    The sensing range comes from the options, not from the start. Figure, animation and recording are called `name`.
 
     Raises:
       InputError: a planner is unknown, the network or the output folder cannot be used, the step limit is less than 1,

@@ -201,14 +201,7 @@ class _Alone:
         self._step = jit(stepped)
 
     def actions(self, place: str, world: World, start: Pose, ground: int) -> str:
-        """The actions of an episode as letters.
-
-        Args:
-          place: name of the episode for messages.
-          world: its world.
-          start: first pose.
-          ground: number of traversable cells. No shortest plan has more actions than there are poses on them.
-        """
+        """The actions of an episode as letters. No shortest plan has more actions than poses on the `ground`."""
         belief, state = self._reset(world, start), self._init(self._planner, world)
         letters, unrevealing, patience = "", 0, HEADINGS * ground
         while len(letters) < STEP_LIMIT:

@@ -153,12 +153,7 @@ class Runner:
         sizes = {self._size[start.house] for start in starts}
         if len(sizes) != 1:
             raise InputError(f"starts in houses of {len(sizes)} sizes; give starts in houses of one size")
-        return self._trajectories(planner, rules, starts, name, self._worlds[sizes.pop()])
-
-    def _trajectories(
-        self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str, worlds: World
-    ) -> Trajectories:
-        """The same in a stack of worlds, without a check of the starts."""
+        worlds = self._worlds[sizes.pop()]
         for needed in ("init", "plan"):
             if not hasattr(planner, needed):
                 who = name or type(planner).__name__
@@ -222,12 +217,12 @@ class Runner:
         for number, start in enumerate(starts):
             together[start.sensing_range, start.expanding_range, self._size[start.house]].append(number)
         results: dict[tuple[str, int], EpisodeResult] = {}
-        for (*_, size), numbers in together.items():
+        for numbers in together.values():
             chosen = tuple(starts[number] for number in numbers)
-            rules, worlds = self.rules(chosen[0]), self._worlds[size]
+            rules = self.rules(chosen[0])
             oracle: Trajectories | None = None
             if "oracle" in named or (rules, chosen) not in self._oracle_steps:
-                oracle = self._trajectories(Oracle(), rules, chosen, "oracle", worlds)
+                oracle = self.trajectories(Oracle(), rules, chosen, "oracle")
                 if not np.all(oracle.success):
                     raise InputError(
                         f"{chosen[int(np.argmin(oracle.success))]}: even with the map known no goal is reached within "
@@ -237,7 +232,7 @@ class Runner:
             for name, source in named.items():
                 done = oracle if name == "oracle" else None
                 if done is None:
-                    done = self._trajectories(_made(name, source, rules), rules, chosen, name, worlds)
+                    done = self.trajectories(_made(name, source, rules), rules, chosen, name)
                 rows = rows_of(name, chosen, rules, done, self._oracle_steps[rules, chosen])
                 results |= zip(((name, number) for number in numbers), rows, strict=True)
         return [results[name, number] for name in named for number in range(len(starts))]
