@@ -21,7 +21,7 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.episode_figures import plot_episode
 from dc2g_jax._src.figures.replay import replay_result
-from dc2g_jax._src.figures.results_figures import plot_extra_steps, plot_house_strips
+from dc2g_jax._src.figures.results_figures import plot_extra_steps, plot_results
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
@@ -196,7 +196,7 @@ def main(options: Options) -> None:
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
         compared = [result for result in part if result.planner in drawn(options.planner)]
-        plot_house_strips(out / f"houses_{settings}", compared, groups[settings], settings)
+        plot_results(compared, out / f"houses_{settings}", groups[settings], settings)
         if options.record:
             record(out, dataset, settings, part, network, _RECORDED)
     facts = {

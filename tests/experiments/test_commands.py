@@ -135,7 +135,7 @@ def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_pat
     start = sample_starts([houses.split("val")[0]], 1, seed=0)[0]
     starts.write_text(f"house,x,y,heading\n{start.house},{start.x},{start.y},{start.heading}\n")
     network, settings = "dc2g_jax._src.estimation.estimators:ExactCostToGo", "tests.planning.test_planners:NARROW"
-    options = {"dataset": str(few_houses), "network": network, "settings": settings, "out": tmp_path / "out"}
+    options = {"dataset": str(few_houses), "network": (network,), "settings": settings, "out": tmp_path / "out"}
     run_episodes.main(run_episodes.Options(starts=starts, planner=("dc2g",), **options))
     assert f"settings {settings}" in capsys.readouterr().out
     with (tmp_path / "out" / "episodes.csv").open() as file:

@@ -12,7 +12,7 @@ from matplotlib.text import Text
 
 from dc2g_jax._src.figures import contact_sheets, results_figures as figures
 from dc2g_jax._src.figures.contact_sheets import contact_pages, plot_contact_page
-from dc2g_jax._src.figures.results_figures import PLANNER_STYLES, plot_house_strips
+from dc2g_jax._src.figures.results_figures import PLANNER_STYLES, plot_results
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS
 from dc2g_jax._src.planning.named import PLANNERS
 from dc2g_jax._src.readers.houses import House
@@ -34,7 +34,7 @@ def test_strips_hold_every_episode_but_the_oracles(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = {"b": "urban", "a": "urban", "c": "same_neighborhood"}
-    plot_house_strips(tmp_path / "strips", _results(groups), groups)
+    plot_results(_results(groups), tmp_path / "strips", groups)
     (axes,) = drawn[0].axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["c", "a", "b"]
     assert [text.get_text() for text in axes.texts] == ["same neighborhood", "urban"]
@@ -58,7 +58,7 @@ def test_an_oracle_alone_has_nothing_to_be_compared_with(tmp_path):
     with pytest.raises(ValueError, match="no planner to compare with the oracle"):
         figures.plot_extra_steps(tmp_path / "fig7", {"paper": table}, "toy")
     with pytest.raises(ValueError, match="no planner to compare with the oracle"):
-        plot_house_strips(tmp_path / "strips", _results(["a"], ("oracle",)), {"a": "test"})
+        plot_results(_results(["a"], ("oracle",)), tmp_path / "strips", {"a": "test"})
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_groups_are_cut_where_a_column_is_full(counts, columns, monkeypatch, tmp
     drawn = []
     monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = {f"{group}{number:02}": group for group, count in counts.items() for number in range(count)}
-    plot_house_strips(tmp_path / "strips", _results(groups, ("frontier",)), groups)
+    plot_results(_results(groups, ("frontier",)), tmp_path / "strips", groups)
     names = [[label.get_text() for label in axes.get_yticklabels()] for axes in drawn[0].axes]
     assert [name for column in names for name in column] == list(groups)
     headlines = [[text.get_text() for text in axes.texts] for axes in drawn[0].axes]
@@ -82,7 +82,7 @@ def test_groups_are_cut_where_a_column_is_full(counts, columns, monkeypatch, tmp
 
 def test_strips_are_written(tmp_path):
     houses = [f"n{number:03}" for number in range(25)]
-    files = plot_house_strips(tmp_path / "strips", _results(houses, ("frontier",)), dict.fromkeys(houses, "test"))
+    files = plot_results(_results(houses, ("frontier",)), tmp_path / "strips", dict.fromkeys(houses, "test"))
     assert [path.suffix for path in files] == [".png", ".svg", ".pdf"]
     assert all(path.stat().st_size > 10_000 for path in files)
 
@@ -141,7 +141,7 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
     figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
     head_to_head.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
     names = {f"n{number:03}": "test" for number in range(25)}
-    plot_house_strips(tmp_path / "strips", _results(names), names, "paper")
+    plot_results(_results(names), tmp_path / "strips", names, "paper")
     assert len(drawn) == 3
     intervals = [line for line in drawn[0].findobj(LineCollection) for line in line.get_segments()]
     assert sum(np.array_equal(line[:, 1], [6.5, 14.0]) for line in intervals) >= 2 * len(groups) * (len(planners) - 1)

@@ -155,7 +155,7 @@ def run_episodes_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
 def reproduce_fig7_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _published(patch, reproduce_fig7)
     patch.setattr(reproduce_fig7, "plot_extra_steps", fake_figure)
-    patch.setattr(reproduce_fig7, "plot_house_strips", fake_figure)
+    patch.setattr(reproduce_fig7, "plot_results", lambda results, path, *args: fake_figure(path))
     planners = ("oracle", "frontier", "true_cost_to_go")
     return _command(reproduce_fig7, reproduce_fig7.Options(dataset=dataset, planner=planners, starts_per_house=3))
 

@@ -282,15 +282,20 @@ _LANE, _BETWEEN, _HEADLINE = 0.075, 0.06, 0.2
 _ONE_COLUMN = 20
 
 
-def plot_house_strips(
-    path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str], settings: str = ""
+def plot_results(
+    results: Iterable[EpisodeResult],
+    path: str | Path,
+    group_by_house: Mapping[str, str] | None = None,
+    settings: str = "",
 ) -> list[Path]:
-    """Draw one strip per house: the extra steps of episodes as points, with a lane and a mean for each planner.
+    """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
+
+    Episodes are points, in a lane for each planner with a bar at their mean.
 
     Args:
-      path: output path without ending.
       results: episodes of any number of planners; those of the oracle are left out.
-      group_by_house: house -> group; houses are ordered by group and name.
+      path: output path without ending.
+      group_by_house: house -> group; houses are ordered by group and name. `None` for a single group.
       settings: name or description of the episodes' settings.
 
     Returns:
@@ -305,6 +310,7 @@ def plot_house_strips(
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
     if not extra:
         raise InputError("no planner to compare with the oracle: give episodes of another one as well")
+    group_by_house = group_by_house or dict.fromkeys(extra, "houses")
     styles = planner_styles(planner for by_planner in extra.values() for planner in by_planner)
     houses = sorted(extra, key=lambda house: (_group_place(group_by_house[house]), house))
     room = len(houses) if len(houses) <= _ONE_COLUMN else math.ceil(len(houses) / 2)
@@ -335,23 +341,6 @@ def plot_house_strips(
         ncols=entries_a_row, frameon=False, fontsize=8.5,
     )  # fmt: skip
     return save_figure(figure, path, dpi=300)
-
-
-def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Path]:
-    """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
-
-    Args:
-      results: episodes of any number of planners; those of the oracle are left out.
-      path: output path without ending.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
-
-    Raises:
-      InputError: no planner but the oracle.
-    """
-    results = list(results)
-    return plot_house_strips(path, results, {result.house: "houses" for result in results})
 
 
 def _group_place(group: str) -> tuple[int, str]:
