@@ -32,7 +32,6 @@ from dc2g_jax._src.figures.results_figures import (
     map_image as map_image,
     plain_axes as plain_axes,
     planner_style as planner_style,
-    plot_extra_steps as plot_extra_steps,
     plot_results as plot_results,
     present_classes as present_classes,
     save_figure as save_figure,

@@ -21,7 +21,7 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.episode_figures import plot_episode
 from dc2g_jax._src.figures.replay import replay_result
-from dc2g_jax._src.figures.results_figures import plot_extra_steps, plot_results
+from dc2g_jax._src.figures.results_figures import plot_results
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
@@ -33,6 +33,7 @@ from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
 from dc2g_jax._src.rollouts.statistics import Summary
 from dc2g_jax._src.viewer.recording import record_frames
+from experiments.support.bars import TITLES, plot_extra_steps
 from experiments.support.published import PUBLISHED_GROUPS, authors_results, group_by_house, run_published
 
 
@@ -196,7 +197,7 @@ def main(options: Options) -> None:
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
         compared = [result for result in part if result.planner in drawn(options.planner)]
-        plot_results(compared, out / f"houses_{settings}", groups[settings], settings)
+        plot_results(compared, out / f"houses_{settings}", groups[settings], TITLES[settings])
         if options.record:
             record(out, dataset, settings, part, network, _RECORDED)
     facts = {

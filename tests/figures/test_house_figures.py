@@ -18,6 +18,7 @@ from dc2g_jax._src.planning.named import PLANNERS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.statistics import Summary
 from experiments import head_to_head
+from experiments.support import bars
 from tests.support import toy
 
 
@@ -56,7 +57,7 @@ def test_planners_of_ones_own_come_last_and_do_not_look_alike():
 def test_an_oracle_alone_has_nothing_to_be_compared_with(tmp_path):
     table = {"oracle": {"all": Summary(0.0, 0.0, 0.0, 0.0, 1.0, 30)}}
     with pytest.raises(ValueError, match="no planner to compare with the oracle"):
-        figures.plot_extra_steps(tmp_path / "fig7", {"paper": table}, "toy")
+        bars.plot_extra_steps(tmp_path / "fig7", {"paper": table}, "toy")
     with pytest.raises(ValueError, match="no planner to compare with the oracle"):
         plot_results(_results(["a"], ("oracle",)), tmp_path / "strips", {"a": "test"})
 
@@ -133,15 +134,15 @@ def test_houses_of_any_size_are_drawn_in_their_colors(shape, tmp_path):
 
 def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch, tmp_path):
     drawn = []
-    for module in (figures, head_to_head):
+    for module in (figures, head_to_head, bars):
         monkeypatch.setattr(module, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = ("train", "urban", "all")
     planners = (*PLANNER_STYLES, "mine")
     table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30, 6.5, 14.0)) for planner in planners}
-    figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
+    bars.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
     head_to_head.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
     names = {f"n{number:03}": "test" for number in range(25)}
-    plot_results(_results(names), tmp_path / "strips", names, "paper")
+    plot_results(_results(names), tmp_path / "strips", names, bars.TITLES["paper"])
     assert len(drawn) == 3
     intervals = [line for line in drawn[0].findobj(LineCollection) for line in line.get_segments()]
     assert sum(np.array_equal(line[:, 1], [6.5, 14.0]) for line in intervals) >= 2 * len(groups) * (len(planners) - 1)
@@ -160,11 +161,11 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
 @pytest.mark.parametrize("count", [2, 6, 9])
 def test_means_stand_below_their_bars_side_by_side(count, monkeypatch, tmp_path):
     drawn = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    monkeypatch.setattr(bars, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     row = dict.fromkeys(
         ("train", "val", "urban", "all", "test"), Summary(333.0, 200.0, 1.0, 900.0, 1.0, 30, 1.0, 999.0)
     )
-    figures.plot_extra_steps(tmp_path / "fig7", {"paper": {f"planner {n}": row for n in range(count)}}, "toy")
+    bars.plot_extra_steps(tmp_path / "fig7", {"paper": {f"planner {n}": row for n in range(count)}}, "toy")
     FigureCanvasAgg(drawn[0]).draw()
     (axes,) = drawn[0].axes
     boxes = [text.get_window_extent() for text in axes.texts]
