@@ -188,7 +188,7 @@ def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
     starts.write_text(f"house,x,y,heading\n{house},500,3,0\n")
     line = complaint(run("dc2g run", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "a"))
     assert "line 2" in line
-    assert "'500'" in line
+    assert "column 500, row 3 is off the map" in line
     assert not (tmp_path / "a").exists()
 
 
@@ -198,7 +198,7 @@ def test_a_seed_that_is_none_is_refused_by_every_command(seed, monkeypatch, capf
     with pytest.raises(SystemExit) as stopped:
         command_line(reproduce_fig7.Options, lambda options: pytest.fail("has begun"))
     assert stopped.value.code == 2
-    assert capfd.readouterr().err.startswith(f"error: --seed {seed}: give a number from 0")
+    assert capfd.readouterr().err.startswith(f"error: --seed {seed}: give a whole number from 0")
 
 
 @pytest.mark.parametrize(

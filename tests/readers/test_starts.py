@@ -6,7 +6,7 @@ import pytest
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
-from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.houses import House, HouseDataset, procedural_dataset
 from dc2g_jax._src.readers.starts import (
     Start,
     published_episodes,
@@ -43,6 +43,7 @@ def test_sampled_starts_are_on_road_connected_to_a_door(dataset):
 def test_no_starts_at_all_are_refused(dataset):
     refusal(lambda: sample_starts(dataset.houses, 0, seed=0), "starts per house 0", "at least 1")
     refusal(lambda: sample_starts(dataset.houses, 1, seed=-1), "seed -1", "from 0 to 4294967295")
+    refusal(lambda: procedural_dataset(seed=-1), "seed -1")
 
 
 def test_road_cut_off_from_the_doors_is_not_sampled(street):
