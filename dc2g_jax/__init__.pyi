@@ -2,7 +2,8 @@
 
 # Make, run, compare.
 from ._src.planning.named import make_planner as make_planner, PLANNERS as PLANNERS
-from ._src.rollouts.evaluation import evaluate as evaluate, Results as Results, EpisodeResult as EpisodeResult
+from ._src.rollouts.evaluation import evaluate as evaluate
+from ._src.rollouts.results import Results as Results, EpisodeResult as EpisodeResult
 from ._src.training.train import train as train
 from ._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from ._src.training.cost_to_go_data import DataConfig as DataConfig

@@ -5,7 +5,6 @@ from dc2g_jax._src.cli.common import (
     ImageSizeOption as ImageSizeOption,
     PlannersOption as PlannersOption,
     check_planners as check_planners,
-    check_seed as check_seed,
     command_line as command_line,
 )
 from dc2g_jax._src.cli.map_options import StartOption as StartOption, start_in as start_in
@@ -23,3 +22,4 @@ from dc2g_jax._src.cli.outputs import (
     output_folder as output_folder,
     print_files as print_files,
 )
+from dc2g_jax._src.errors import check_seed as check_seed

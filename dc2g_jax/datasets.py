@@ -37,10 +37,9 @@ from dc2g_jax._src.readers.maps import (
 from dc2g_jax._src.readers.starts import (
     PublishedEpisode as PublishedEpisode,
     Start as Start,
-    nearest_start as nearest_start,
+    check_starts as check_starts,
     published_episodes as published_episodes,
     sample_starts as sample_starts,
     usable_houses as usable_houses,
     why_no_episode as why_no_episode,
-    why_no_start as why_no_start,
 )

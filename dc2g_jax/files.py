@@ -22,4 +22,4 @@ from dc2g_jax._src.files.reading import (
     read_text as read_text,
 )
 from dc2g_jax._src.files.resources import resource as resource
-from dc2g_jax._src.files.tables import write_table as write_table
+from dc2g_jax._src.files.tables import text_table as text_table, write_table as write_table

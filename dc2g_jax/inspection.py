@@ -18,7 +18,6 @@ from dc2g_jax._src.figures.replay import actions_from_letters as actions_from_le
 from dc2g_jax._src.figures.results_figures import (
     map_image as map_image,
     planner_style as planner_style,
-    plot_extra_steps as plot_extra_steps,
     plot_results as plot_results,
 )
 from dc2g_jax._src.figures.training_figures import save_learning_curve as save_learning_curve

@@ -4,16 +4,27 @@ Both run the 400 published episodes with the same houses, starts and sensing. Th
 """
 
 import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
 
 from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line, digests, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.figures.results_figures import plot_head_to_head
+from dc2g_jax._src.figures.results_figures import (
+    GROUP_LABELS,
+    PAGE_WIDTH,
+    SCALE_NOTE,
+    save_figure,
+    scale_extra_steps,
+)
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.files.tables import write_table
+from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import published_episodes
 from experiments.support import published
@@ -54,9 +65,46 @@ def _print_comparison(tables: dict[str, dict[str, Any]]) -> None:
         ("frontier / dc2g - 1, ours %", "{frontier_over_dc2g:.1f}"),
         ("frontier / dc2g - 1, authors' %", "{authors_frontier_over_dc2g:.1f}"),
     )
-    print(f"\n{'':34}" + "".join(f"{group:>20}" for group in tables))
-    for label, cell in rows:
-        print(f"{label:34}" + "".join(f"{cell.format(**table):>20}" for table in tables.values()))
+    cells = ((label, *(cell.format(**table) for table in tables.values())) for label, cell in rows)
+    print(f"\n{text_table(('', *tables), cells)}")
+
+
+def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+    """Draw one point per episode, the authors' extra steps along x, ours along y, with a panel per group of houses.
+
+    Args:
+      path: output path without ending; PNG, SVG and PDF are written.
+      extra: group -> (authors', ours) of each episode, in percent.
+    """
+    rows = -(-len(extra) // 2)
+    figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
+    all_axes = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes in all_axes[len(extra) :]:
+        axes.remove()
+    most = max(value for pairs in extra.values() for pair in pairs for value in pair)
+    ends = (-4.0, 1.6 * most)
+    for axes, (group, pairs) in zip(all_axes, extra.items(), strict=False):
+        authors, ours = np.array(pairs, float).T
+        below, above = int(np.sum(ours < authors)), int(np.sum(ours > authors))
+        axes.fill_between(ends, ends, ends[0], color="#0072b2", alpha=0.08, linewidth=0)
+        axes.plot(ends, ends, color="#555555", linewidth=0.8)
+        axes.plot(authors, ours, "o", color="#0072b2", markeredgecolor="white", markeredgewidth=0.4, markersize=5)
+        axes.plot(authors.mean(), ours.mean(), "X", color="#d55e00", markeredgecolor="black", markersize=10)
+        for direction in "xy":
+            scale_extra_steps(axes, direction, ends)
+        axes.grid(True, color="#dddddd", linewidth=0.5)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
+        axes.set_aspect("equal")
+        axes.set_title(GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
+        style: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 8.5, "color": "#333333"}
+        axes.annotate(f"lower in {below} episodes", (0.97, 0.04), ha="right", **style)
+        axes.annotate(f"higher in {above} episodes", (0.03, 0.93), ha="left", **style)
+    figure.supylabel("extra steps, this package (%)", fontsize=9)
+    figure.supxlabel(
+        f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {SCALE_NOTE}", fontsize=9
+    )
+    save_figure(figure, path, dpi=200)
 
 
 def main(options: Options) -> None:
@@ -71,7 +119,7 @@ def main(options: Options) -> None:
     network = network_for([options.planner], options.network)
     out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
     both = tuple(dict.fromkeys(("frontier", options.planner)))
-    ran = EpisodeTable(out / "episodes.csv").published(dataset, both, network)
+    ran = published.run_published(EpisodeTable(out / "episodes.csv"), dataset, both, network)
     frontier, ours = ([one for one in ran if one.planner == name] for name in ("frontier", options.planner))
     pairs = published.pair_up(published_episodes(), frontier, ours)
     groups = published.by_group(pairs)

@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Literal
 
-import numpy as np
-
 from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions
@@ -18,12 +16,14 @@ from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.files.rows import ResumableTable
+from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.rollouts.results import Results
 from dc2g_jax.robot.driving.drive import Equipment
 from experiments.support.drive_figures import plot_noise
 from experiments.support.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
@@ -53,14 +53,15 @@ class Options(DrivingOptions, DatasetOptions, OutOptions, ResumeOptions):
     seed: int = 0
 
 
-def print_table(results: Mapping[str, Mapping[str, float]]) -> None:
-    """Print the table."""
+def table_text(results: Mapping[str, Mapping[str, float]]) -> str:
+    """The table; gridworld robots leave no ground and touch nobody."""
     columns = ("extra", "median_extra", "success", "seconds_off_ground", "seconds_touching_people")
-    heads = ("extra time %", "median %", "success %", "s off ground", "s touching")
-    print(f"{'':28}" + "".join(f"{head:>14}" for head in heads))
+    heads = ("", "extra time %", "median %", "success %", "s off ground", "s touching")
+    rows = []
     for name, result in results.items():
-        values = [result.get(column, float("nan")) * (100 if column == "success" else 1) for column in columns]
-        print(f"{name:28}" + "".join(f"{'' if np.isnan(value) else format(value, '.1f'):>14}" for value in values))
+        values = [result.get(column, math.nan) * (100 if column == "success" else 1) for column in columns]
+        rows.append((name, *("" if math.isnan(value) else f"{value:.1f}" for value in values)))
+    return text_table(heads, rows)
 
 
 def main(options: Options) -> None:
@@ -76,10 +77,10 @@ def main(options: Options) -> None:
     results: dict[str, dict[str, float]] = {}
     for settings in ("paper", "occluded"):
         runner = Runner(dataset, SETTINGS[settings], progress=EpisodeProgress())
-        (*grid,) = EpisodeTable(out / f"gridworld_{settings}.csv").run(runner, starts, ["dc2g"], networks["clean"])
-        extra, success = [one.extra for one in grid], [one.success for one in grid]
+        grid = EpisodeTable(out / f"gridworld_{settings}.csv").run(runner, starts, ["dc2g"], networks["clean"])
+        summary = Results(grid).summary()["dc2g"]
         results[f"gridworld, {settings}"] = {
-            "extra": float(np.mean(extra)), "median_extra": float(np.median(extra)), "success": float(np.mean(success)),
+            "extra": summary.mean_extra, "median_extra": summary.median_extra, "success": summary.success,
         }  # fmt: skip
     (out / "drives").mkdir(exist_ok=True)
 
@@ -95,7 +96,7 @@ def main(options: Options) -> None:
             drives = run(f"{trained}_{level:g}", equipment("dc2g", network, size, level, options))
             results[f"trained {trained}, noise {level:g}"] = summarize_drives(drives, oracle)
     write_json(out / "results.json", results)
-    print_table(results)
+    print(table_text(results))
     plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")
     print_files(out)
 

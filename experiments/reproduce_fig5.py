@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax._src.cli.common import check_seed, command_line, digests
+from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null, output_folder, print_files
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_seed
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
@@ -222,7 +222,7 @@ def main(options: Options) -> None:
     if not options.losses or not options.seeds or options.window < 1 or options.validate_every < 1:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
     for seed in options.seeds:
-        check_seed(seed, "seeds")
+        check_seed(seed, "--seeds")
     if len(set(options.seeds)) < len(options.seeds) or len(set(options.losses)) < len(options.losses):
         raise InputError("losses and seeds: give each once; a run counted twice would look like less spread")
     configs = {loss: options.config(loss) for loss in options.losses}

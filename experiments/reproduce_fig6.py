@@ -16,7 +16,7 @@ from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder, print_files
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.files.tables import write_table
+from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.readers.houses import House, group_of, open_dataset
 from experiments.translator.evaluation import distances_from_training, full_map_metrics
 from experiments.translator.figures import METRIC_LABELS, plot_by_similarity
@@ -38,9 +38,8 @@ class Options(DatasetOptions, OutOptions):
 def print_table(networks: dict[str, dict[str, dict[str, float]]]) -> None:
     """Print the summaries of all metrics, a block for each network."""
     for network, summaries in networks.items():
-        print(f"\n{network}\n{'':24}" + "".join(f"{column:>11}" for column in next(iter(summaries.values()))))
-        for name, summary in summaries.items():
-            print(f"{name:24}" + "".join(f"{value:>11.3f}" for value in summary.values()))
+        rows = ((name, *(f"{value:.3f}" for value in summary.values())) for name, summary in summaries.items())
+        print(f"\n{network}\n{text_table(('', *next(iter(summaries.values()))), rows)}")
 
 
 def write_houses(path: Path, houses: Sequence[House], networks: dict[str, HouseMetrics]) -> None:

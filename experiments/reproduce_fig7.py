@@ -3,11 +3,10 @@
 `python -m experiments.reproduce_fig7` runs the 400 published episodes, and sampled starts in every test house.
 """
 
-import collections
 import dataclasses
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -22,18 +21,20 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.episode_figures import plot_episode
 from dc2g_jax._src.figures.replay import replay_result
-from dc2g_jax._src.figures.results_figures import Table, plot_extra_steps, plot_house_strips
+from dc2g_jax._src.figures.results_figures import plot_results
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.files.tables import write_table
+from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
+from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
+from dc2g_jax._src.rollouts.statistics import Summary
 from dc2g_jax._src.viewer.recording import record_frames
-from experiments.support.published import PUBLISHED_GROUPS, with_authors
+from experiments.support.bars import TITLES, plot_extra_steps
+from experiments.support.published import PUBLISHED_GROUPS, authors_results, group_by_house, run_published
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,38 +99,44 @@ def record(
         plot_episode(out / "recordings" / name, house, shown)
 
 
-def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
-    """Print mean and median extra steps by planner and group."""
+def table_text(title: str, table: Table, groups: tuple[str, ...]) -> str:
+    """Mean and median extra steps by planner and group."""
     present = [group for group in groups if any(group in row for row in table.values())]
-    print(f"\n{title}\nmean extra steps beyond the oracle, % (median)")
-    width = max(18, *(len(planner) + 1 for planner in table))
-    print(f"{'':{width}}" + "".join(f"{group:>20}" for group in present) + f"{'success':>10}")
-    for planner, row in table.items():
-        if planner == "oracle":
-            continue
-        cells = "".join(f"{row[g].mean_extra:>11.1f} ({row[g].median_extra:>6.1f})" for g in present)
-        print(f"{planner:{width}}{cells}{100 * row[groups[-1]].success:>9.1f}%")
+    rows = [
+        (
+            planner,
+            *(f"{row[group].mean_extra:.1f} ({row[group].median_extra:.1f})" for group in present),
+            f"{100 * row[groups[-1]].success:.1f} %",
+        )
+        for planner, row in table.items()
+        if planner != "oracle"
+    ]
+    return f"\n{title}\nmean extra steps beyond the oracle, % (median)\n{text_table(('', *present, 'success'), rows)}"
 
 
-def _write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[ExtraSteps]]) -> None:
+def _write_tables(
+    out: Path,
+    tables: dict[str, Table],
+    entries: dict[str, list[EpisodeResult]],
+    groups: Mapping[str, Mapping[str, str]],
+) -> None:
     """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
-    groups = [
+    summaries = [
         (settings, planner, group, *(round(value, 4) for value in summary))
         for settings, table in tables.items()
         for planner, row in table.items()
         for group, summary in row.items()
     ]
-    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), groups)
-    houses = []
+    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), summaries)
+    rows = []
     for settings, episodes in entries.items():
-        by_house: dict[tuple[str, str, str], list[ExtraSteps]] = collections.defaultdict(list)
-        for episode in episodes:
-            by_house[episode.planner, episode.house, episode.group].append(episode)
-        for key, own in by_house.items():
-            summary = summarize([episode.extra for episode in own], [episode.success for episode in own])
-            houses.append((settings, *key, *(round(value, 4) for value in summary[:_OF_A_HOUSE])))
+        houses = dict.fromkeys(one.house for one in episodes)
+        for planner, row in tabulate(episodes, (*houses, "all"), {house: house for house in houses}).items():
+            for house in houses:
+                values = (round(value, 4) for value in row[house][:_OF_A_HOUSE])
+                rows.append((settings, planner, house, groups[settings][house], *values))
     columns = ("settings", "planner", "house", "group", *Summary._fields[:_OF_A_HOUSE])
-    write_table(out / "houses.csv", columns, houses)
+    write_table(out / "houses.csv", columns, rows)
 
 
 def _as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
@@ -162,13 +169,16 @@ def main(options: Options) -> None:
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.name == PROCEDURAL else dataset.name
     tables: dict[str, Table] = {}
-    entries: dict[str, list[ExtraSteps]] = {}
+    entries: dict[str, list[EpisodeResult]] = {}
     results: dict[str, list[EpisodeResult]] = {}
+    groups: dict[str, dict[str, str]] = {}
     if options.settings != "paper" and dataset.source == "published":
-        results["published"] = table.published(dataset, options.planner, network)
-        entries["published"] = with_authors(results["published"])
-        tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
-        print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
+        results["published"] = run_published(table, dataset, options.planner, network)
+        entries["published"] = results["published"] + authors_results()
+        groups["published"] = group_by_house()
+        tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS, groups["published"])
+        title = f"The 400 published episodes, 5-cell sensing ({label})"
+        print(table_text(title, tables["published"], PUBLISHED_GROUPS))
     elif options.settings != "paper":
         tell_on_stderr(f"Left out: the 400 published episodes, which need the published houses, not {dataset.name}")
     if options.settings != "published":
@@ -176,24 +186,18 @@ def main(options: Options) -> None:
             if reason := why_no_episode(house):
                 tell_on_stderr(f"Left out: house {house.name}: {reason}")
         results["paper"] = table.run(runner, starts, options.planner, network)
-        entries["paper"] = [
-            ExtraSteps(one.planner, group_of(dataset.house(one.house)) or "test", one.house, one.extra, one.success)
-            for one in results["paper"]
-        ]
-        tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS)
-        houses = len({episode.house for episode in entries["paper"]})
-        print_table(
-            f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})",
-            tables["paper"],
-            _PAPER_GROUPS,
-        )
-    _write_tables(out, tables, entries)
+        entries["paper"] = results["paper"]
+        groups["paper"] = {house.name: group_of(house) or "test" for house in dataset.houses}
+        tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS, groups["paper"])
+        houses = len({start.house for start in starts})
+        title = f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})"
+        print(table_text(title, tables["paper"], _PAPER_GROUPS))
+    _write_tables(out, tables, entries, groups)
     whose = "" if options.network is None else f" Network: {options.network}."
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
         compared = [result for result in part if result.planner in drawn(options.planner)]
-        groups = {episode.house: episode.group for episode in entries[settings]}
-        plot_house_strips(out / f"houses_{settings}", compared, groups, settings)
+        plot_results(compared, out / f"houses_{settings}", groups[settings], TITLES[settings])
         if options.record:
             record(out, dataset, settings, part, network, _RECORDED)
     facts = {

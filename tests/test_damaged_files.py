@@ -30,12 +30,12 @@ from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.weights import fresh_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.files.rows import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.readers.houses import load_dataset, map_dataset
 from dc2g_jax._src.readers.maps import Goal, read_map
 from dc2g_jax._src.readers.starts import read_starts
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
-from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.training.cost_to_go_data import check_masks, kept_arrays
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.masks import Masks

@@ -93,6 +93,15 @@ def check_number(
     raise InputError(f"{name} {short(value)}: give {kind}{bounds}{hint and ' '}{hint}")
 
 
+def check_seed(seed: Any, name: str = "seed") -> None:
+    """Check a random seed.
+
+    Raises:
+      InputError: it is not a whole number, negative, or has more than 32 bits.
+    """
+    check_number(name, seed, whole=True, least=0, most=2**32 - 1)
+
+
 def check_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
     """Check that a name is a known one.
 

@@ -29,7 +29,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from jaxtyping import Array, Float, Int, UInt8
 from PIL import Image, ImageDraw
 
-from dc2g_jax.datasets import HouseDataset, nearest_start, open_dataset, usable_houses, why_no_start
+from dc2g_jax.datasets import HouseDataset, Start, check_starts, open_dataset, usable_houses
 from dc2g_jax.environments import FrontDoor, Observation, Params, State, make_env, observe
 from dc2g_jax.grid import CLASS_NAMES, FIGURE_RGB, FORWARD, HEADINGS, Pose, make_pose
 from dc2g_jax.runtime import InputError, check_name, check_number, jit
@@ -164,14 +164,11 @@ class _Robots:
             raise InputError(
                 f"house {name} is in split {house.split!r}; make the environment with split={house.split!r}"
             )
-        check_number("x", x, whole=True, least=0, most=house.terrain.shape[1] - 1)
-        check_number("y", y, whole=True, least=0, most=house.terrain.shape[0] - 1)
-        check_number("heading", heading, whole=True, least=0, most=HEADINGS - 1)
-        reason = why_no_start(house.terrain, x, y)
-        if reason or house.name not in self._houses:
-            raise InputError(
-                f"house {name}: {reason or 'no episode can be run in it'}; {nearest_start(house.terrain, x, y)}"
-            )
+        for name, number in (("x", x), ("y", y), ("heading", heading)):
+            check_number(name, number, whole=True)
+        check_starts([Start(house.name, int(x), int(y), int(heading))], self._dataset, lambda _: f"house {house.name}")
+        if house.name not in self._houses:
+            raise InputError(f"house {house.name}: no episode can be run in it; give another house")
         return int(np.flatnonzero(self._houses == house.name)[0]), x, y, heading
 
 

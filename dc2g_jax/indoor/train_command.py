@@ -210,7 +210,7 @@ def main(options: Options) -> None:
     """Collect samples; train, validate and save the network."""
     options.training(1)  # raises before anything is written
     require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
-    check_seed(options.collection.data_seed, "data-seed")
+    check_seed(options.collection.data_seed, "--data-seed")
     options.check_pauses()
     if options.encoder is not None and not (options.out / ENCODER_FOLDER / CARD).exists():
         load_encoder(options.encoder)

@@ -30,7 +30,8 @@ from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
-from dc2g_jax._src.rollouts.evaluation import Results, evaluate
+from dc2g_jax._src.rollouts.evaluation import evaluate
+from dc2g_jax._src.rollouts.results import Results
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, drawn_houses, validation_pairs

@@ -27,7 +27,7 @@ from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.statistics import summarize
+from dc2g_jax._src.rollouts.results import Results, as_text
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 from experiments.support.neighborhoods import draw_neighborhood
 
@@ -137,17 +137,12 @@ def main(options: Options) -> None:
         rows, columns = houses[0].terrain.shape
         print(f"\n{name}: {len(starts)} episodes in {len(houses)} maps of {columns} x {rows} cells, {options.split}")
         taken = milliseconds(estimators, houses[0])
-        facts[name] = {}
-        for planner in planners:
-            these = [result for result in results if result.planner == planner]
-            summary = summarize([result.extra for result in these], [result.success for result in these])
-            facts[name][planner] = {**summary._asdict(), "milliseconds": taken.get(planner)}
-            estimate = f", an estimate {taken[planner]} ms" if planner in taken else ""
-            print(
-                f"{planner:>16}: mean extra steps {summary.mean_extra:7.1f} %, median {summary.median_extra:7.1f} %, "
-                f"success {100 * summary.success:.1f} %{estimate}",
-                flush=True,
-            )
+        summaries = Results(results).summary()
+        facts[name] = {
+            planner: {**summary._asdict(), "milliseconds": taken.get(planner)} for planner, summary in summaries.items()
+        }
+        print(as_text(summaries))
+        print(f"milliseconds of an estimate: {taken}", flush=True)
     write_json(out / "results.json", {"split": options.split, "worlds": facts})
     print_files(out)
 

@@ -6,10 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.readers.starts import PublishedEpisode, published_episodes
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.evaluation import Runner
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
-from dc2g_jax._src.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap
+from dc2g_jax._src.rollouts.statistics import extra_steps, house_bootstrap
 
 #: Groups of the published episodes in tables, in order; `all` holds all episodes.
 PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
@@ -51,18 +57,30 @@ class EpisodePair(NamedTuple):
     authors_extra: float
 
 
-def with_authors(results: Sequence[EpisodeResult]) -> list[ExtraSteps]:
-    """Extra steps in the published episodes: of our results, planner by planner, and of the authors' own runs."""
-    published = published_episodes()
-    found = [
-        ExtraSteps(one.planner, published[number % len(published)].group, one.house, one.extra, one.success)
-        for number, one in enumerate(results)
-    ]
-    for episode in published:
-        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
-            extra = extra_steps(steps, episode.oracle)
-            found.append(ExtraSteps(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
-    return found
+def group_by_house() -> dict[str, str]:
+    """The group of each house with a published episode. Validation houses are among `train`."""
+    return {one.start.house: one.group for one in published_episodes()}
+
+
+def run_published(
+    table: EpisodeTable, dataset: HouseDataset, planners: Sequence[str], network: Estimator | None
+) -> list[EpisodeResult]:
+    """Results of the paper's 400 episodes, planner by planner."""
+    runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
+    return table.run(runner, [episode.start for episode in published_episodes()], planners, network)
+
+
+def authors_results() -> list[EpisodeResult]:
+    """The authors' own runs, whose actions and last modes are not published."""
+    ranges = SETTINGS["published"].rules()
+    return [
+        EpisodeResult(
+            *episode.start[:4], ranges.sensing.radius, ranges.expanding_range, planner, steps < STEP_LIMIT, steps,
+            episode.oracle, extra_steps(steps, episode.oracle), "to_goal" if steps < STEP_LIMIT else "explore",
+        )
+        for episode in published_episodes()
+        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g))
+    ]  # fmt: skip
 
 
 def pair_up(

@@ -14,9 +14,9 @@ from dc2g_jax._src.cli.outputs import CommandOptions, output_folder, print_files
 from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
+from dc2g_jax._src.files.rows import ResumableTable
 from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax._src.rollouts.statistics import Mean, house_bootstrap
 from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings

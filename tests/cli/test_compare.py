@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from dc2g_jax._src.cli.commands import compare
+from dc2g_jax._src.cli.commands import compare, run_episodes
 from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import sample_starts
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 
@@ -26,7 +27,8 @@ def test_a_planner_and_a_family_of_ones_own(tmp_path, capsys):
     text = (tmp_path / "out" / "leaderboard.md").read_text()
     assert f"| `{MINE}` | 1.00 | **1.00** |" in text or "| `frontier` | 1.00 | **1.00** |" in text
     assert "| planner | all | yards (2) |" in text
-    assert "12 episodes of 3 planners, yards: " in text
+    assert "12 episodes of 3 planners in 1 family: `" in text
+    assert "split `val`" in text
     assert (tmp_path / "out" / "images" / "leaderboard.png").stat().st_size > 1000
     capsys.readouterr()
     compare.main(dataclasses.replace(options, resume=True))
@@ -35,3 +37,27 @@ def test_a_planner_and_a_family_of_ones_own(tmp_path, capsys):
     refusal(lambda: compare.main(dataclasses.replace(options, planner=("oracle", MINE))), "frontier", "--planner")
     refusal(lambda: compare.main(dataclasses.replace(options, planner=("oracle", "frontier"))), "another one")
     refusal(lambda: compare.main(dataclasses.replace(options, family=())), "--family")
+
+
+def test_several_networks_are_compared(compact_network, tmp_path, capsys):
+    exact = "dc2g_jax._src.estimation.estimators:ExactCostToGo"
+    options = compare.Options(
+        planner=("frontier", "dc2g"), network=(str(compact_network), exact), family=(f"{__name__}:yards",), split="val",
+        starts=2, out=tmp_path / "out",
+    )  # fmt: skip
+    compare.main(options)
+    text = (tmp_path / "out" / "leaderboard.md").read_text()
+    names = [f"dc2g ({compact_network.name})", f"dc2g ({exact})"]
+    assert all(f"| `{name}` |" in text and f"## Where `{name}` is first" in text for name in names)
+    capsys.readouterr()
+    starts = tmp_path / "starts.csv"
+    start = sample_starts(yards().houses, 1, seed=0)[0]
+    starts.write_text(f"house,x,y,heading\n{','.join(map(str, start[:4]))}\n")
+    run_episodes.main(
+        run_episodes.Options(
+            starts=starts, dataset=f"{__name__}:yards", planner=("oracle", "dc2g"), network=options.network,
+            out=tmp_path / "run",
+        )
+    )  # fmt: skip
+    shown = capsys.readouterr().out
+    assert all(f"\n{name} " in shown for name in ("oracle", *names))

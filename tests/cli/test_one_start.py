@@ -96,7 +96,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(yard, tmp_path
 
     wall = "column 0, row 0 is 'house', which is not traversable; the nearest cell to start from"
     refusal(lambda: explore(start=(0, 0, 0)), wall)
-    refusal(lambda: explore(sensing_range=0), "--sensing-range 0", "1 to 64")
+    refusal(lambda: explore(sensing_range=0), "sensing range 0", "1 to 64")
     np.save(yard, np.where(YARD == FRONT_DOOR, GRASS, YARD))
     refusal(explore, "yard.npy", "no front door")
     assert not out.exists()

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.files.rows import ResumableTable
 from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.selection import ENDLESS
-from dc2g_jax._src.rollouts.results import ResumableTable
 from experiments import noisy_mapping, reproduce_fig9
 from experiments.support.driving import DriveResult, DrivingOptions, equipment
 from tests.support.refusals import refusal

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from dc2g_jax._src.rollouts.results import read_rows
+from dc2g_jax._src.files.rows import read_rows
 from dc2g_jax.indoor.search.evaluation import SearchResult
 from experiments.objectnav_table1 import Options, main
 from experiments.support import searches

@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
 from dc2g_jax._src.figures import contact_sheets, results_figures as figures
 from dc2g_jax._src.figures.contact_sheets import contact_pages, plot_contact_page
-from dc2g_jax._src.figures.results_figures import PLANNER_STYLES, plot_house_strips
+from dc2g_jax._src.figures.results_figures import PLANNER_STYLES, plot_results
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS
+from dc2g_jax._src.planning.named import PLANNERS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.statistics import Summary
+from experiments import head_to_head
+from experiments.support import bars
 from tests.support import toy
 
 
@@ -31,7 +35,7 @@ def test_strips_hold_every_episode_but_the_oracles(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = {"b": "urban", "a": "urban", "c": "same_neighborhood"}
-    plot_house_strips(tmp_path / "strips", _results(groups), groups)
+    plot_results(_results(groups), tmp_path / "strips", groups)
     (axes,) = drawn[0].axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["c", "a", "b"]
     assert [text.get_text() for text in axes.texts] == ["same neighborhood", "urban"]
@@ -53,9 +57,9 @@ def test_planners_of_ones_own_come_last_and_do_not_look_alike():
 def test_an_oracle_alone_has_nothing_to_be_compared_with(tmp_path):
     table = {"oracle": {"all": Summary(0.0, 0.0, 0.0, 0.0, 1.0, 30)}}
     with pytest.raises(ValueError, match="no planner to compare with the oracle"):
-        figures.plot_extra_steps(tmp_path / "fig7", {"paper": table}, "toy")
+        bars.plot_extra_steps(tmp_path / "fig7", {"paper": table}, "toy")
     with pytest.raises(ValueError, match="no planner to compare with the oracle"):
-        plot_house_strips(tmp_path / "strips", _results(["a"], ("oracle",)), {"a": "test"})
+        plot_results(_results(["a"], ("oracle",)), tmp_path / "strips", {"a": "test"})
 
 
 @pytest.mark.parametrize(
@@ -70,7 +74,7 @@ def test_groups_are_cut_where_a_column_is_full(counts, columns, monkeypatch, tmp
     drawn = []
     monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = {f"{group}{number:02}": group for group, count in counts.items() for number in range(count)}
-    plot_house_strips(tmp_path / "strips", _results(groups, ("frontier",)), groups)
+    plot_results(_results(groups, ("frontier",)), tmp_path / "strips", groups)
     names = [[label.get_text() for label in axes.get_yticklabels()] for axes in drawn[0].axes]
     assert [name for column in names for name in column] == list(groups)
     headlines = [[text.get_text() for text in axes.texts] for axes in drawn[0].axes]
@@ -79,7 +83,7 @@ def test_groups_are_cut_where_a_column_is_full(counts, columns, monkeypatch, tmp
 
 def test_strips_are_written(tmp_path):
     houses = [f"n{number:03}" for number in range(25)]
-    files = plot_house_strips(tmp_path / "strips", _results(houses, ("frontier",)), dict.fromkeys(houses, "test"))
+    files = plot_results(_results(houses, ("frontier",)), tmp_path / "strips", dict.fromkeys(houses, "test"))
     assert [path.suffix for path in files] == [".png", ".svg", ".pdf"]
     assert all(path.stat().st_size > 10_000 for path in files)
 
@@ -130,14 +134,15 @@ def test_houses_of_any_size_are_drawn_in_their_colors(shape, tmp_path):
 
 def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch, tmp_path):
     drawn = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    for module in (figures, head_to_head, bars):
+        monkeypatch.setattr(module, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = ("train", "urban", "all")
     planners = (*PLANNER_STYLES, "mine")
     table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30, 6.5, 14.0)) for planner in planners}
-    figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
-    figures.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
+    bars.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
+    head_to_head.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
     names = {f"n{number:03}": "test" for number in range(25)}
-    plot_house_strips(tmp_path / "strips", _results(names), names, "paper")
+    plot_results(_results(names), tmp_path / "strips", names, bars.TITLES["paper"])
     assert len(drawn) == 3
     intervals = [line for line in drawn[0].findobj(LineCollection) for line in line.get_segments()]
     assert sum(np.array_equal(line[:, 1], [6.5, 14.0]) for line in intervals) >= 2 * len(groups) * (len(planners) - 1)
@@ -150,17 +155,17 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
     # Bars are told apart without their colors, too.
     fills = [(patch.get_hatch(), patch.get_facecolor()) for patch in drawn[0].legends[0].get_patches()]
     assert len(set(fills)) == len(planners) - 1
-    assert [hatch for hatch, _ in fills].count("") == 3
+    assert [hatch for hatch, _ in fills].count("") == 2
 
 
 @pytest.mark.parametrize("count", [2, 6, 9])
 def test_means_stand_below_their_bars_side_by_side(count, monkeypatch, tmp_path):
     drawn = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    monkeypatch.setattr(bars, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     row = dict.fromkeys(
         ("train", "val", "urban", "all", "test"), Summary(333.0, 200.0, 1.0, 900.0, 1.0, 30, 1.0, 999.0)
     )
-    figures.plot_extra_steps(tmp_path / "fig7", {"paper": {f"planner {n}": row for n in range(count)}}, "toy")
+    bars.plot_extra_steps(tmp_path / "fig7", {"paper": {f"planner {n}": row for n in range(count)}}, "toy")
     FigureCanvasAgg(drawn[0]).draw()
     (axes,) = drawn[0].axes
     boxes = [text.get_window_extent() for text in axes.texts]
@@ -168,3 +173,15 @@ def test_means_stand_below_their_bars_side_by_side(count, monkeypatch, tmp_path)
     assert [text.get_text() for text in axes.texts] == ["333"] * 5 * count
     assert all(max(label.y1 for label in labels) < box.y0 < box.y1 < axes.get_window_extent().y0 for box in boxes)
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+
+
+def test_a_planner_of_ones_own_has_a_color_of_its_own():
+    named = [style.color for style in PLANNER_STYLES.values()]
+    colors = np.array([to_rgb(color) for color in (*named, *figures.SPARE_COLORS)])
+    apart = np.linalg.norm(colors[:, None] - colors, axis=-1) + np.eye(len(colors))
+    assert apart[len(named) :].min() > 0.2
+    mine, other = "my_planner:Mine", "dc2g (mine)"
+    together = figures.planner_styles([*PLANNERS[:9], other, mine])
+    assert len({style.color for style in together.values()}) == len(together)
+    assert together[other] == figures.planner_style(other)
+    assert figures.planner_style(mine).color in figures.SPARE_COLORS

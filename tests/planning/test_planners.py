@@ -33,7 +33,7 @@ from dc2g_jax._src.planning.planners import (
 )
 from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
-from dc2g_jax._src.rollouts.evaluation import action_letters
+from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps

@@ -6,7 +6,7 @@ import pytest
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
-from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.houses import House, HouseDataset, procedural_dataset
 from dc2g_jax._src.readers.starts import (
     Start,
     published_episodes,
@@ -41,7 +41,9 @@ def test_sampled_starts_are_on_road_connected_to_a_door(dataset):
 
 
 def test_no_starts_at_all_are_refused(dataset):
-    refusal(lambda: sample_starts(dataset.houses, 0, seed=0), "0 starts per house", "1 or more")
+    refusal(lambda: sample_starts(dataset.houses, 0, seed=0), "starts per house 0", "at least 1")
+    refusal(lambda: sample_starts(dataset.houses, 1, seed=-1), "seed -1", "from 0 to 4294967295")
+    refusal(lambda: procedural_dataset(seed=-1), "seed -1")
 
 
 def test_road_cut_off_from_the_doors_is_not_sampled(street):
@@ -144,8 +146,8 @@ def test_ranges_are_optional(tmp_path, dataset):
         ("street,3,4,-1", ["heading", "-1:"]),
         ("street,3,4,", ["heading", "no value"]),
         ("street,3,4", ["heading", "no value"]),
-        ("street,10,4,0", ["x 10:", "0 to 9"]),
-        ("street,3,8,0", ["y 8:", "0 to 7"]),
+        ("street,10,4,0", ["column 10, row 4 is off the map of 10 x 8 cells"]),
+        ("street,3,8,0", ["column 3, row 8 is off the map"]),
         ("street,east,4,0", ["x", "'east'"]),
         ("street,1.5,4,0", ["x", "'1.5'"]),
         ("street,-,4,0", ["x", "'-'"]),
@@ -154,13 +156,13 @@ def test_ranges_are_optional(tmp_path, dataset):
         ("street,3,4,0,0,", ["range", "0:", "2 to 64"]),
         ("street,3,4,0,65,", ["range", "65:"]),
         ("street,3,4,0,wide,", ["range", "'wide'"]),
-        ("street,3,4,0,5,1", ["expanding_range", "1:", "2 to 64"]),
-        ("street,9,0,0", ["street", "(9, 0)", "reached", "nearest cell to start from lies at column 7, row 2"]),
-        ("street,0,0,0", ["street", "(0, 0)"]),
-        ("street,2,0,0", ["street", "(2, 0)", "front door"]),
+        ("street,3,4,0,5,1", ["expanding_range", "'1'", "2 to 64"]),
+        ("street,9,0,0", ["column 9, row 0 is 'grass'", "nearest cell to start from lies at column 7, row 2"]),
+        ("street,0,0,0", ["column 0, row 0"]),
+        ("street,2,0,0", ["column 2, row 0 is a goal already"]),
         ("strete,3,4,0", ["strete", "street"]),
         (",3,4,0", ["house"]),
-        ("island,0,0,0", ["island", "reached"]),
+        ("island,0,0,0", ["no goal can be reached"]),
         ("doorless,3,4,0", ["doorless", "no front door"]),
     ],
     ids=ascii,

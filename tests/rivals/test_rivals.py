@@ -19,7 +19,7 @@ from dc2g_jax._src.planning.choosing import Situation, exploring_poses, in_squar
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, planner_with
 from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.rollouts.evaluation import action_letters
+from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from dc2g_jax.rivals.cost_utility import CostUtility
 from dc2g_jax.rivals.frontier_potential import FrontierPotential

@@ -54,7 +54,7 @@ def test_each_device_works_on_its_part():
 
 def test_cores_that_are_refused():
     use_cores(jax.device_count())  # as it is
-    refusal(lambda: use_cores(0), "0 cores", "at least 1")
+    refusal(lambda: use_cores(0), "number of cores 0", "at least 1")
     refusal(lambda: use_cores(7), "7 cores", "already started with 2", "before anything else")
     assert cores() >= 1
 

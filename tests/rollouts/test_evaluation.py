@@ -14,9 +14,11 @@ from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
+from dc2g_jax._src.rollouts import evaluation
+from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from, evaluate, open_networks
+from dc2g_jax._src.rollouts.results import Results
 from tests.oracles import numpy_gridworld as oracle
-from tests.support.refusals import refusal, refusal_of
+from tests.support.refusals import refusal
 
 RULES = complete_rules(4)
 
@@ -70,8 +72,7 @@ def test_maps_of_several_sizes_are_run_as_each_alone(dataset, street):
         *Runner(dataset, SETTINGS["paper"]).run(starts[1:2], ["frontier"]),
     ]
     assert together == [apart[0], apart[2], apart[1]]
-    with pytest.raises(ValueError, match="2 sizes"):
-        Runner(both, SETTINGS["paper"]).trajectories(Frontier(RULES), RULES, starts)
+    refusal(lambda: Runner(both, SETTINGS["paper"]).trajectories(Frontier(RULES), RULES, starts), "2 sizes")
 
 
 def test_results_come_in_the_order_of_planners_and_starts_whatever_their_ranges(dataset):
@@ -130,12 +131,16 @@ def test_planners_of_ones_own_are_run_beside_the_others(dataset):
 def test_no_starts_no_results(dataset):
     assert Runner(dataset, SETTINGS["paper"]).run([], ["frontier"]) == []
     assert len(episodes_from([], {})) == 0
+    refusal(lambda: episodes_from(STARTS, {"left": 0}), "'right'", "left")
 
 
 @pytest.mark.parametrize(("x", "y", "heading"), [(-1, 0, 0), (0, -1, 0), (50, 0, 0), (0, 50, 0), (0, 0, 4), (0, 0, -1)])
 def test_a_start_that_is_no_pose_on_the_map_is_refused(x, y, heading, dataset):
     start = STARTS[0]._replace(x=x, y=y, heading=heading)
-    refusal_of(ValueError, lambda: Runner(dataset, SETTINGS["paper"]).run([start], ["oracle"]), start.house, "no pose")
+    mention = "off the map of 10 x 8" if heading == 0 else f"no heading {heading}"
+    refusal(lambda: Runner(dataset, SETTINGS["paper"]).run([start], ["oracle"]), "start 0 in right: ", mention)
+    refusal(lambda: Runner(dataset, SETTINGS["paper"]).trajectories(Frontier(RULES), RULES, [start]), mention)
+    refusal(lambda: evaluate("frontier", dataset, starts=[start]), mention)
 
 
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
@@ -191,6 +196,29 @@ def test_evaluate_samples_starts_in_the_houses_of_a_split(dataset):
     others = [evaluate(["oracle"], dataset, split="val", starts_per_house=3, **seed) for seed in ({}, {"seed": 0})]
     assert results != others[0] == others[1]
     refusal(lambda: evaluate(["oracle"], dataset, split="train"), "toys", "train")
+    refusal(lambda: evaluate(["oracle"], dataset, seed=-1), "seed -1")
+
+
+def test_several_networks_are_run_side_by_side(dataset, compact_network, tmp_path):
+    starts = STARTS[1:3]
+    networks = {"exact": ExactCostToGo(), "compact": compact_network}
+    results = evaluate(["oracle", "dc2g"], dataset, starts=starts, network=networks, step_limit=40)
+    assert list(results.summary()) == ["oracle", "dc2g (exact)", "dc2g (compact)"]
+    for name, network in networks.items():
+        alone = evaluate({f"dc2g ({name})": "dc2g"}, dataset, starts=starts, network=network, step_limit=40)
+        assert results.of(f"dc2g ({name})") == alone
+    assert evaluate("dc2g", dataset, starts=starts, network=[compact_network], step_limit=40).array("steps").keys() == {
+        "dc2g"
+    }
+    refusal(lambda: evaluate("dc2g", dataset, starts=starts, network=[compact_network] * 2), "give each once")
+    refusal(lambda: evaluate("dc2g", dataset, starts=starts, network={}), "give one at least")
+
+
+def test_networks_are_called_by_the_end_of_their_place(monkeypatch):
+    monkeypatch.setattr(evaluation, "open_estimator", lambda place: place)
+    assert list(open_networks(["runs/a", "hf://me/b", "my:C"])) == ["a", "b", "my:C"]
+    assert list(open_networks(["one/network", "two/network"])) == ["one/network", "two/network"]
+    assert open_networks(["runs/a"]) == open_networks("runs/a") == "runs/a"
 
 
 def test_a_planner_made_for_another_field_of_view_is_refused(dataset):
@@ -208,28 +236,3 @@ def test_evaluate_refuses_before_anything_runs(dataset):
         refusal(lambda unnamed=unnamed: evaluate(unnamed, dataset), "is no name", "mapping, such as")
     refusal(lambda: evaluate({"mine": lambda rules: rules}, dataset), "'mine'", "has no init", "check_planner")
     refusal(lambda: evaluate("builtins:repr", dataset), "'builtins:repr'", "has no init", "check_planner")
-
-
-def test_results_are_summarized_and_saved(dataset, tmp_path):
-    results = evaluate(["frontier", "oracle"], dataset, starts=STARTS[1:3])
-    summary = results.summary()
-    assert list(summary) == ["frontier", "oracle"]
-    assert summary["frontier"].mean_extra == pytest.approx(np.mean([one.extra for one in results.of("frontier")]))
-    assert (summary["oracle"].mean_extra, summary["oracle"].success, summary["oracle"].episodes) == (0, 1, 2)
-    header, *lines = str(results).splitlines()
-    assert [line.split()[0] for line in (header, *lines)] == ["planner", "frontier", "oracle"]
-    assert {len(line) for line in lines} == {len(header)}
-    results.save(tmp_path / "episodes.csv")
-    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + len(results)
-
-
-def test_values_of_a_row_that_contradict_each_other_are_refused():
-    row = EpisodeResult("left", 0, 0, 0, 1, None, "frontier", False, 0, 4, -100.0, "gave_up")
-    row.check()
-    row._replace(heading=3, steps=6, extra=50.0, actions="FFLRFF").check()
-    wrong = {"x": -1, "y": -1, "heading": 4, "range": -1, "steps": 3, "actions": "F", "extra": 0.0}
-    for name, value in wrong.items():
-        with pytest.raises(ValueError, match=name):
-            row._replace(**{name: value}).check()
-    with pytest.raises(ValueError, match="letters F, L, R"):
-        row._replace(steps=1, extra=-75.0, actions="X").check()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap, summarize, tabulate
+from dc2g_jax._src.rollouts.statistics import extra_steps, house_bootstrap, summarize
 
 
 @pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5), (3, 1, 200)])
@@ -26,32 +26,9 @@ def test_summary():
     assert np.isnan([summary.mean_low, summary.mean_high]).all()
 
 
-def test_intervals_in_a_table_are_over_the_houses_of_each_group():
-    rows = [("a", "x", 0.0), ("a", "x", 40.0), ("a", "y", 10.0), ("b", "z", 5.0), ("b", "z", 7.0)]
-    episodes = [ExtraSteps("dc2g", group, house, extra, True) for group, house, extra in rows]
-    table = tabulate(episodes, ("a", "b", "all"))["dc2g"]
-    assert (table["a"].mean_low, table["a"].mean_high) == (10, 20)  # house y or house x alone
-    assert (table["b"].mean_low, table["b"].mean_high) == (6, 6)
-    whole = house_bootstrap([row[2] for row in rows], [row[1] for row in rows], resamples=10_000, seed=0)
-    assert (table["all"].mean_extra, table["all"].mean_low, table["all"].mean_high) == whole
-
-
 def test_a_summary_of_nothing_is_refused():
     with pytest.raises(ValueError, match="no episode"):
         summarize([], [])
-
-
-def test_a_table_has_a_column_for_each_group_and_one_for_all():
-    ran = [("mine", "new", 10.0, True), ("mine", "old", 30.0, False), ("other", "new", 50.0, True)]
-    episodes = [ExtraSteps(planner, group, "house", extra, success) for planner, group, extra, success in ran]
-    table = tabulate(episodes, ("old", "urban", "new", "all"))
-    assert {planner: list(row) for planner, row in table.items()} == {
-        "mine": ["old", "new", "all"],
-        "other": ["new", "all"],
-    }
-    assert table["mine"]["all"] == summarize([10.0, 30.0], [True, False], ["house"] * 2)
-    assert table["mine"]["old"] == summarize([30.0], [False], ["house"])
-    assert table["other"]["new"] == table["other"]["all"] == summarize([50.0], [True], ["house"])
 
 
 def test_an_interval_is_that_of_houses_drawn_one_by_one():

@@ -22,7 +22,8 @@ from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import PublishedEpisode, Start
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.evaluation import Runner
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
@@ -155,7 +156,7 @@ def run_episodes_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
 def reproduce_fig7_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _published(patch, reproduce_fig7)
     patch.setattr(reproduce_fig7, "plot_extra_steps", fake_figure)
-    patch.setattr(reproduce_fig7, "plot_house_strips", fake_figure)
+    patch.setattr(reproduce_fig7, "plot_results", lambda results, path, *args: fake_figure(path))
     planners = ("oracle", "frontier", "true_cost_to_go")
     return _command(reproduce_fig7, reproduce_fig7.Options(dataset=dataset, planner=planners, starts_per_house=3))
 

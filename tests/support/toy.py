@@ -5,7 +5,7 @@ import functools
 from dc2g_jax._src.figures.replay import Frames, replay_result
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import House
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import extra_steps
 from tests.support.maps import drawn
 

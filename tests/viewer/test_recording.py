@@ -23,7 +23,7 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import extra_steps
 from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.recording import record_episode, record_frames

@@ -18,7 +18,7 @@ from jax.experimental import multihost_utils
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
-from dc2g_jax._src.errors import InputError, check_number, drop_output, reader_may_leave
+from dc2g_jax._src.errors import InputError, check_seed, drop_output, reader_may_leave
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.cache import keep_compiled_programs
@@ -59,7 +59,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         if jax.distributed.is_initialized():
             parsed = _silent_unless_first(parsed)
         keep_compiled_programs()
-        check_seed(getattr(parsed, "seed", 0))
+        check_seed(getattr(parsed, "seed", 0), "--seed")
         check_tracker(getattr(parsed, "track", None))
         main(parsed)
         sys.stdout.flush()
@@ -137,15 +137,6 @@ def _leave(status: int, line: str, stream: TextIO) -> NoReturn:
         sys.stdout.flush()
         os._exit(status)
     sys.exit(status)
-
-
-def check_seed(seed: int, option: str = "seed") -> None:
-    """Check a random seed.
-
-    Raises:
-      InputError: it is negative or has more than 32 bits.
-    """
-    check_number(f"--{option}", seed, whole=True, least=0, most=2**32 - 1)
 
 
 def check_planners(planners: Sequence[str]) -> None:

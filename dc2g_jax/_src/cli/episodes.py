@@ -1,19 +1,39 @@
-"""Episodes of commands: their table `episodes.csv`."""
+"""Episodes of commands: their table `episodes.csv`, and the networks of their planners."""
 
+import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
+import tyro
+
+from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.planning.rules import SETTINGS
-from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.readers.starts import Start, published_episodes
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Planners, Runner, by_name
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.results import ResumableTable
+from dc2g_jax._src.files.rows import ResumableTable
+from dc2g_jax._src.planning.named import NETWORK_PLANNERS
+from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.rollouts.evaluation import Planners, Runner, by_name, open_networks
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 #: Maximum number of episodes of a planner to run and write together. It limits memory, and the loss after a kill.
 EPISODES_A_SHARD = 65_536
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NetworksOptions(CommandOptions):
+    """One or several networks for the planners that use one.
+
+    Attributes:
+      network: folder of a trained network, or hf://owner/name; package.module:Name for an estimator of your own; the
+        shipped network by default. Of several, each is run, and named by the end of its place: `dc2g (folder)`.
+    """
+
+    network: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FOLDER ...", help_behavior_hint="")] = ()
+
+    def open(self, planners: Iterable[str]) -> Estimator | dict[str, Estimator] | None:
+        """The network, or several by name; `None` if no planner uses one."""
+        return open_networks(self.network or None) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
 class EpisodeTable(ResumableTable[EpisodeResult]):
@@ -34,37 +54,30 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         runner: Runner,
         starts: Sequence[Start],
         planners: Planners,
-        estimator: Estimator | None = None,
+        network: Estimator | Mapping[str, Estimator] | None = None,
     ) -> list[EpisodeResult]:
         """The results of `Runner.run`. Each shard is saved when it finishes.
 
         Raises:
           InputError: the file holds other episodes; or see `Runner.run`.
         """
-        return [result for shard in self.shards(runner, starts, planners, estimator) for result in shard]
-
-    def published(
-        self, dataset: HouseDataset, planners: Sequence[str], network: Estimator | None
-    ) -> list[EpisodeResult]:
-        """Results of the paper's 400 episodes, planner by planner."""
-        runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-        return self.run(runner, [episode.start for episode in published_episodes()], planners, network)
+        return [result for shard in self.shards(runner, starts, planners, network) for result in shard]
 
     def shards(
         self,
         runner: Runner,
         starts: Sequence[Start],
         planners: Planners,
-        estimator: Estimator | None = None,
+        network: Estimator | Mapping[str, Estimator] | None = None,
     ) -> Iterator[list[EpisodeResult]]:
         """The same in parts, for more episodes than fit in memory.
 
         Raises:
           InputError: as `run`.
         """
-        for planner, source in by_name(planners).items():
+        for planner, source in by_name(planners, network).items():
             for first in range(0, len(starts), EPISODES_A_SHARD):
                 part = starts[first : first + EPISODES_A_SHARD]
                 ranges = [(rules.sensing.radius, rules.expanding_range) for rules in map(runner.rules, part)]
                 asked = [(*start[:4], *both, planner) for start, both in zip(part, ranges, strict=True)]
-                yield self.next_results(asked, functools.partial(runner.run, part, {planner: source}, estimator))
+                yield self.next_results(asked, functools.partial(runner.run, part, {planner: source}))

@@ -11,11 +11,10 @@ from jaxtyping import UInt8
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import read_palette
-from dc2g_jax._src.grid.poses import HEADINGS
-from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.maps import Goal, draw_map
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
-from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, start_ground, why_no_episode, why_no_start
+from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, start_ground, why_no_episode
 
 #: Start of an episode: column, row and heading.
 StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]
@@ -89,12 +88,7 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
             remedy = "give a --start on other ground, from which one can" if elsewhere else "choose another one"
             raise InputError(f"{where}: {reason}; {remedy}")
         return sample_starts([house], 1, seed=seed)[0]
-    x, y, heading = pose
-    if not 0 <= heading < HEADINGS:
-        raise InputError(
-            f"{where}: --start {x} {y} {heading}: there is no heading {heading}; give 0 (right), 1 (down), 2 (left) or "
-            "3 (up)"
-        )
-    if problem := why_no_start(house.terrain, x, y):
-        raise InputError(f"{where}: --start {x} {y} {heading}: {problem}; {nearest_start(house.terrain, x, y)}")
-    return Start(house.name, x, y, heading)
+    start = Start(house.name, *pose)
+    dataset = HouseDataset(house.name, "folder", (house,))
+    check_starts([start], dataset, lambda _: f"{where}: --start {' '.join(map(str, pose))}")
+    return start

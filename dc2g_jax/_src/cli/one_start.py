@@ -17,13 +17,14 @@ from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.animation import animate
 from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax._src.figures.replay import replay_result
-from dc2g_jax._src.grid.sensing import check_sensing_range
+from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.viewer.recording import record_frames
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
@@ -56,14 +57,6 @@ class OneStartOptions(NetworkOptions, OutOptions):
     no_figures: bool = False
     no_record: bool = False
 
-    def check_sensing_range(self) -> None:
-        """Check that the sensing range is supported.
-
-        Raises:
-          InputError: it is not.
-        """
-        check_sensing_range("--sensing-range", self.sensing_range)
-
 
 def run_one_start(
     options: OneStartOptions,
@@ -77,14 +70,7 @@ def run_one_start(
 ) -> None:
     """Run the oracle and the planners from one start, print their results and write all files.
 
-    Args:
-      options: options of the command.
-      command: name of the command.
-      name: file name of figure, animation and recording, without extension.
-      house: the map.
-      start: first pose. The sensing range comes from the options.
-      step_limit: actions after which an episode ends without success; `None` for the default for the map's size.
-      warnings: printed before the episodes run.
+    The sensing range comes from the options, not from the start. Figure, animation and recording are called `name`.
 
     Raises:
       InputError: a planner is unknown, the network or the output folder cannot be used, the step limit is less than 1,
@@ -113,14 +99,14 @@ def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -
         f"{house.name}: {width} x {height} cells, {first.range}-cell sensing, start at column {first.x}, "
         f"row {first.y}, heading {('right', 'down', 'left', 'up')[first.heading]}"
     )
-    width = max(16, *(len(result.planner) + 1 for result in results))
-    print(f"{'planner':{width}}{'steps':>8}{'extra steps':>14}   outcome")
+    rows = []
     for result in results:
         outcome = "reached the goal" if result.success else f"stopped at the limit of {limit} steps"
         if not result.success and result.mode == MODE_NAMES[GAVE_UP]:
             outcome = "gave up: nothing left to explore"
         extra = "knows the map" if result.planner == "oracle" else f"{result.extra:.1f} %"
-        print(f"{result.planner:{width}}{result.steps:>8,}{extra:>14}   {outcome}")
+        rows.append((result.planner, f"{result.steps:,}", extra, outcome))
+    print(text_table(("planner", "steps", "extra steps", "outcome"), rows))
 
 
 def _draw(

@@ -21,7 +21,7 @@ from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, distances_
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import NO_ACTION
 
 #: Steps replayed by one call on the device, so that one compiled program serves episodes of every length.

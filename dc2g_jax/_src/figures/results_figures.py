@@ -2,10 +2,10 @@
 
 import itertools
 import math
-import textwrap
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -19,11 +19,9 @@ from matplotlib.typing import ColorType
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
-from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, Standings, in_order
-from dc2g_jax._src.rollouts.statistics import Summary
-
-Table = Mapping[str, Mapping[str, Summary]]
+from dc2g_jax._src.planning.named import PLANNERS
+from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, Families, in_order
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 #: Width of figures, inches: the two columns of a page, so that text has its final size.
 PAGE_WIDTH = 7.16
@@ -58,15 +56,17 @@ PLANNER_STYLES = {
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
-#: Colors, hatches and markers of other planners, each used in turn: bars repeat after 20 planners, lines after 28.
-_OTHER_COLORS = ("#332288", "#999933", "#882255", "#8c564b")
+#: Colors of other planners, none of them near one above.
+SPARE_COLORS = ("#332288", "#999933", "#882255", "#8c564b", "#e7298a", "#66cc33", "#7f6fff", "#00ced1")
+
+#: Hatches and markers of other planners. One color has another of them each time that it is used.
 _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
 
 #: Ground that has not been observed is drawn in the class colors mixed with this much white.
 _HIDDEN_WHITE = 0.85
 
-_GROUP_LABELS = {
+GROUP_LABELS = {
     "train": "training\nhouses",
     "val": "validation\nhouses",
     "same_neighborhood": "same\nneighborhood",
@@ -75,60 +75,26 @@ _GROUP_LABELS = {
     "all": "all",
     "test": "all test\nhouses",
 }
-_TITLES = {
-    "published": "The 400 published episodes, 5-cell sensing",
-    "paper": "Sampled starts, 8-cell sensing",
-}
 
 
 def planner_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
-    """Styles of planners, in the order of `PLANNER_STYLES`, other planners last."""
+    """Styles of planners, in the order of `PLANNER_STYLES`, other planners last.
+
+    Another planner looks the same in all figures, unless one before it has taken its color.
+    """
     present = dict.fromkeys(planners)
     styles = {name: style for name, style in PLANNER_STYLES.items() if name in present}
-    for n, name in enumerate([name for name in present if name not in styles]):
-        color, hatch, marker = (looks[n % len(looks)] for looks in (_OTHER_COLORS, _OTHER_HATCHES, _OTHER_MARKERS))
-        styles[name] = PlannerStyle(name.rpartition(":")[2], color, hatch, marker)  # named without its module
+    others = sorted((name for name in present if name not in styles), key=PLANNERS.__contains__)  # users' own first
+    for n, name in enumerate(others):
+        turn, free = divmod(n, len(SPARE_COLORS))
+        if free == 0:
+            left = list(range(len(SPARE_COLORS)))
+        wanted = zlib.crc32(name.encode()) % len(SPARE_COLORS)
+        look = min(left, key=lambda look: (look - wanted) % len(SPARE_COLORS))
+        left.remove(look)
+        hatch, marker = (looks[(look + turn) % len(looks)] for looks in (_OTHER_HATCHES, _OTHER_MARKERS))
+        styles[name] = PlannerStyle(name.rpartition(":")[2], SPARE_COLORS[look], hatch, marker)  # without its module
     return styles
-
-
-def _rounded(value: float) -> str:
-    """A number of percent, as below bars."""
-    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
-
-
-def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
-    """Draw grouped bars of the mean with its interval, and a line at the median. Below each bar is its mean."""
-    planners = [planner for planner in styles if planner in table]
-    width = 0.92 / len(planners)
-    means = [table[planner][group].mean_extra for planner in planners for group in groups]
-    longest = max(len(_rounded(mean)) for mean in means)
-    upright = 0.9 * 72 * PAGE_WIDTH * width / len(groups) < 4.7 * longest  # too wide to be side by side
-    for place, planner in enumerate(planners):
-        _, color, hatch, _ = styles[planner]
-        x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
-        rows = [table[planner][group] for group in groups]
-        mean, median = [row.mean_extra for row in rows], [row.median_extra for row in rows]
-        low, high = np.array([(row.mean_low, row.mean_high) for row in rows]).T
-        axes.bar(x, mean, width * 0.92, color=color, hatch=hatch, edgecolor="#333333", linewidth=0.5)
-        axes.vlines(x, low, high, color="white", linewidth=2.2)
-        axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
-        axes.vlines(x, low, high, color="#333333", linewidth=1.0)
-        for position, value in zip(x, mean, strict=True):
-            axes.annotate(
-                _rounded(value),
-                (position, 0),
-                xycoords=("data", "axes fraction"),
-                xytext=(0, -3),
-                textcoords="offset points",
-                ha="center",
-                va="top",
-                rotation=90 if upright else 0,
-                fontsize=7,
-            )
-    axes.set_xticks(np.arange(len(groups)), [_GROUP_LABELS.get(group, group) for group in groups])
-    axes.set_xlim(-0.5, len(groups) - 0.5)
-    plain_axes(axes, grid="y", label_size=7.5)
-    axes.tick_params(axis="x", length=0, pad=8 + 4.5 * longest if upright else 13)
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
@@ -145,46 +111,11 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
     return written
 
 
-def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str) -> list[Path]:
-    """Draw the bars of Fig. 7: mean extra steps beyond the oracle by planner and group, with a panel per setting.
-
-    Args:
-      path: output path without ending.
-      tables: setting -> planner -> group -> summary.
-      caption: description of the runs, such as houses and network.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
-
-    Raises:
-      InputError: no planner but the oracle.
-    """
-    panels = {settings: table for settings, table in tables.items() if table.keys() - {"oracle"}}
-    if not panels:
-        raise InputError("no planner to compare with the oracle: give the table of another one as well")
-    figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
-    all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
-    styles = planner_styles(name for table in panels.values() for name in table if name != "oracle")
-    for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
-        _bars(axes, table, sorted(next(iter(table.values())), key=_group_place), styles)
-        axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
-    figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
-    patches = [
-        Patch(facecolor=style.color, hatch=style.hatch, edgecolor="#333333", linewidth=0.5, label=style.label)
-        for style in styles.values()
-    ]
-    columns = 2 if len(styles) == 4 else min(len(styles), 3)
-    figure.legend(handles=patches, loc="outside upper center", ncols=columns, frameon=False, fontsize=7.5)
-    note = "Bars, numbers: mean, with its 95 % interval over houses; black lines: median."
-    figure.supxlabel(textwrap.fill(f"{note} {caption}", 140), fontsize=7, color="#555555")
-    return save_figure(figure, path, dpi=300)
+#: Description of `scale_extra_steps` for captions.
+SCALE_NOTE = "logarithmic beyond 10 %"
 
 
-#: Description of `_scale_extra_steps` for captions.
-_SCALE_NOTE = "logarithmic beyond 10 %"
-
-
-def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
+def scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
     """Scale an axis linearly up to 10 % and logarithmically beyond, so that episodes without extra steps are shown."""
     ticks = [tick for tick in (0, 10, 30, 100, 300, 1000, 3000) if tick < ends[1]]
     getattr(axes, f"set_{direction}scale")("symlog", linthresh=10, linscale=0.6)
@@ -193,63 +124,26 @@ def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) ->
     axes.minorticks_off()
 
 
-def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> None:
-    """Draw one point per episode, the authors' extra steps along x, ours along y, with a panel per group of houses.
-
-    Args:
-      path: output path without ending; PNG, SVG and PDF are written.
-      extra: group -> (authors', ours) of each episode, in percent.
-    """
-    rows = -(-len(extra) // 2)
-    figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
-    all_axes = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True).ravel()
-    for axes in all_axes[len(extra) :]:
-        axes.remove()
-    most = max(value for pairs in extra.values() for pair in pairs for value in pair)
-    ends = (-4.0, 1.6 * most)
-    for axes, (group, pairs) in zip(all_axes, extra.items(), strict=False):
-        authors, ours = np.array(pairs, float).T
-        below, above = int(np.sum(ours < authors)), int(np.sum(ours > authors))
-        axes.fill_between(ends, ends, ends[0], color="#0072b2", alpha=0.08, linewidth=0)
-        axes.plot(ends, ends, color="#555555", linewidth=0.8)
-        axes.plot(authors, ours, "o", color="#0072b2", markeredgecolor="white", markeredgewidth=0.4, markersize=5)
-        axes.plot(authors.mean(), ours.mean(), "X", color="#d55e00", markeredgecolor="black", markersize=10)
-        for direction in "xy":
-            _scale_extra_steps(axes, direction, ends)
-        axes.grid(True, color="#dddddd", linewidth=0.5)
-        axes.set_axisbelow(True)
-        axes.tick_params(labelsize=8)
-        axes.set_aspect("equal")
-        axes.set_title(_GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
-        style: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 8.5, "color": "#333333"}
-        axes.annotate(f"lower in {below} episodes", (0.97, 0.04), ha="right", **style)
-        axes.annotate(f"higher in {above} episodes", (0.03, 0.93), ha="left", **style)
-    figure.supylabel("extra steps, this package (%)", fontsize=9)
-    figure.supxlabel(
-        f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {_SCALE_NOTE}", fontsize=9
-    )
-    save_figure(figure, path, dpi=200)
-
-
-def plot_leaderboard(path: str | Path, table: Standings) -> None:
+def plot_leaderboard(path: str | Path, families: Families) -> None:
     """Draw steps relative to the reference, with a panel for each family, the best planner at the top.
 
     Args:
       path: output path without ending; PNG, SVG and PDF are written.
-      table: planner -> family -> standing.
+      families: the episodes.
     """
-    planners = in_order(table)[::-1]
-    families = list(table[planners[0]])
+    planners = in_order(families)[::-1]
     figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.19 * len(planners)), layout="constrained")
     all_axes = figure.subplots(1, len(families), squeeze=False, sharex=True, sharey=True)[0]
-    for axes, family in zip(all_axes, families, strict=True):
+    own = planner_styles(name for name in planners if name not in PLANNERS)
+    for axes, (name, family) in zip(all_axes, families.items(), strict=True):
         axes.axvline(1, color="#555555", linewidth=0.8)
         for row, planner in enumerate(planners):
-            own = table[planner][family]
+            ratio = family.ratio(planner)
             color = "#888888" if planner in PRIVILEGED else "#0072b2" if planner == "dc2g" else "#d55e00"
-            axes.hlines(row, own.low, own.high, color=color, linewidth=1.6)
-            axes.plot(own.ratio, row, "o", color=color, markersize=3.2)
-        axes.set_title(family, fontsize=7.5)
+            color = own[planner].color if planner in own else color
+            axes.hlines(row, ratio.low, ratio.high, color=color, linewidth=1.6)
+            axes.plot(ratio.mean, row, "o", color=color, markersize=3.2)
+        axes.set_title(name, fontsize=7.5)
         plain_axes(axes, grid="both", label_size=6.5)
     all_axes[0].set_xscale("log")
     all_axes[0].set_xticks(ticks := (0.2, 1, 5), [f"{tick:g}" for tick in ticks])
@@ -308,16 +202,21 @@ _LANE, _BETWEEN, _HEADLINE = 0.075, 0.06, 0.2
 _ONE_COLUMN = 20
 
 
-def plot_house_strips(
-    path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str], settings: str = ""
+def plot_results(
+    results: Iterable[EpisodeResult],
+    path: str | Path,
+    group_by_house: Mapping[str, str] | None = None,
+    title: str = "",
 ) -> list[Path]:
-    """Draw one strip per house: the extra steps of episodes as points, with a lane and a mean for each planner.
+    """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
+
+    Episodes are points, in a lane for each planner with a bar at their mean.
 
     Args:
-      path: output path without ending.
       results: episodes of any number of planners; those of the oracle are left out.
-      group_by_house: house -> group; houses are ordered by group and name.
-      settings: name or description of the episodes' settings.
+      path: output path without ending.
+      group_by_house: house -> group; houses are ordered by group and name. `None` for a single group.
+      title: description of the episodes.
 
     Returns:
       The files written: PNG, SVG and PDF.
@@ -331,8 +230,9 @@ def plot_house_strips(
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
     if not extra:
         raise InputError("no planner to compare with the oracle: give episodes of another one as well")
+    group_by_house = group_by_house or dict.fromkeys(extra, "houses")
     styles = planner_styles(planner for by_planner in extra.values() for planner in by_planner)
-    houses = sorted(extra, key=lambda house: (_group_place(group_by_house[house]), house))
+    houses = sorted(extra, key=lambda house: (group_place(group_by_house[house]), house))
     room = len(houses) if len(houses) <= _ONE_COLUMN else math.ceil(len(houses) / 2)
     pages = [houses[first : first + room] for first in range(0, len(houses), room)]
     house_height = _LANE * len(styles) + _BETWEEN
@@ -345,44 +245,27 @@ def plot_house_strips(
     for axes, page in zip(columns, pages, strict=True):
         _draw_strips(axes, page, group_by_house, extra, styles)
         axes.set_ylim(max(heights), 0)
-        _scale_extra_steps(axes, "x", (-3.0, max(1.3 * most, 12.0)))
+        scale_extra_steps(axes, "x", (-3.0, max(1.3 * most, 12.0)))
         axes.tick_params(axis="x", labelsize=7.5)
         axes.xaxis.grid(True, color="#cccccc", linewidth=0.5)
         axes.set_axisbelow(True)
         axes.spines[["top", "right", "left"]].set_visible(False)
-    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
+    lines = [f"extra steps beyond the oracle (%), {SCALE_NOTE}", "bars: means"]
     figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
     handles = [
         Line2D([], [], linestyle="none", marker=style.marker, color=style.color, markersize=5, label=style.label)
         for style in styles.values()
     ]
     figure.legend(
-        handles=handles, title=_TITLES.get(settings, settings), title_fontsize=8.5, loc="outside upper center",
+        handles=handles, title=title, title_fontsize=8.5, loc="outside upper center",
         ncols=entries_a_row, frameon=False, fontsize=8.5,
     )  # fmt: skip
     return save_figure(figure, path, dpi=300)
 
 
-def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Path]:
-    """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
-
-    Args:
-      results: episodes of any number of planners; those of the oracle are left out.
-      path: output path without ending.
-
-    Returns:
-      The files written: PNG, SVG and PDF.
-
-    Raises:
-      InputError: no planner but the oracle.
-    """
-    results = list(results)
-    return plot_house_strips(path, results, {result.house: "houses" for result in results})
-
-
-def _group_place(group: str) -> tuple[int, str]:
+def group_place(group: str) -> tuple[int, str]:
     """Sort key of a group."""
-    order = list(_GROUP_LABELS)
+    order = list(GROUP_LABELS)
     return (order.index(group) if group in order else len(order)), group
 
 
@@ -397,7 +280,7 @@ def _draw_strips(
     names: list[tuple[float, str]] = []
     y, lanes = 0.0, _LANE * len(styles)
     for group, houses in itertools.groupby(page, key=lambda house: group_by_house[house]):
-        label = _GROUP_LABELS.get(group, group).replace("\n", " ")
+        label = GROUP_LABELS.get(group, group).replace("\n", " ")
         axes.annotate(
             label, (0, y + 0.75 * _HEADLINE), xycoords=("axes fraction", "data"), fontsize=8, fontweight="bold"
         )

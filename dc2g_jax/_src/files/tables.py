@@ -1,4 +1,4 @@
-"""Strict reading of small CSV tables, with one-line errors that name file and line, and atomic writing."""
+"""Tables: strict reading of CSV files, with one-line errors that name file and line, atomic writing, printing."""
 
 import csv
 import re
@@ -79,6 +79,13 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[obje
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(rows)
+
+
+def text_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table as text in aligned columns: the first column on the left of its place, the others on the right."""
+    lines = [[str(cell) for cell in row] for row in (columns, *rows)]
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    return "\n".join("   ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]) for line in lines)
 
 
 def _texts(path: Path, file: BufferedIOBase, remedy: str) -> Iterator[str]:

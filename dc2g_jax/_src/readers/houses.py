@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.errors import InputError, check_name, check_number, short
+from dc2g_jax._src.errors import InputError, check_name, check_number, check_seed, short
 from dc2g_jax._src.files.class_images import PALETTE_FILE, read_class_image, read_palette
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.grid.world import World
@@ -174,8 +174,9 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | No
     With a `split`, the others are not drawn: drawing all takes seconds.
 
     Raises:
-      InputError: `cells` is less than 1 or more than the maps have pixels.
+      InputError: the seed is invalid, or `cells` is less than 1 or more than the maps have pixels.
     """
+    check_seed(seed)
     name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
     houses = (
         House(house, of, sampled(f"procedural house {house}", classes, cells))

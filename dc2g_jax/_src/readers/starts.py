@@ -3,14 +3,14 @@
 import csv
 import functools
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_number, check_seed
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.files.tables import table_lines, whole_cell
 from dc2g_jax._src.grid.ground import connected_to_goal, why_no_path
@@ -86,28 +86,54 @@ def start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return connected_to_goal(terrain) & (terrain != FRONT_DOOR)
 
 
-def nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
-    """Describe the nearest cell in which an episode can start."""
-    rows, columns = np.nonzero(start_ground(terrain))
-    if not len(rows):
-        return "the map has no ground that leads to a goal"
-    nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
-    return f"the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"
+def check_starts(starts: Sequence[Start], dataset: HouseDataset, where: Callable[[int], str] | None = None) -> None:
+    """Check that an episode can start at each of these poses.
+
+    Args:
+      starts: first poses.
+      dataset: the houses.
+      where: begins the message about a start, given its number from 0.
+
+    Raises:
+      InputError: a house is unknown, or a start is off the map, on a goal, or where no goal can be reached. The message
+        names the nearest cell to start from.
+    """
+    grounds: dict[str, tuple[House, Bool[np.ndarray, "h w"]]] = {}
+    for number, start in enumerate(starts):
+        try:
+            if start.house not in grounds:
+                house = dataset.house(start.house)
+                grounds[house.name] = house, start_ground(house.terrain)
+            house, ground = grounds[start.house]
+            height, width = ground.shape
+            on_map = 0 <= start.x < width and 0 <= start.y < height
+            if not (on_map and ground[start.y, start.x] and 0 <= start.heading < HEADINGS):
+                raise InputError(_why_no_start(start, house, ground))
+        except InputError as error:
+            place = where(number) if where else f"start {number} in {start.house}"
+            raise InputError(f"{place}: {error}") from None
 
 
-def why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | None:
-    """The reason why no episode can start in a cell, or `None`."""
-    height, width = terrain.shape
-    if not (0 <= x < width and 0 <= y < height):
-        return f"column {x}, row {y} is off the map of {width} x {height} cells"
-    if terrain[y, x] == FRONT_DOOR:
-        return f"column {x}, row {y} is a goal already"
-    if not TRAVERSABLE[terrain[y, x]]:
-        name = CLASS_NAMES[terrain[y, x]] if terrain[y, x] else "unknown"
-        return f"column {x}, row {y} is {name!r}, which is not traversable"
-    if not connected_to_goal(terrain)[y, x]:
-        return f"no goal can be reached from column {x}, row {y}"
-    return None
+def _why_no_start(start: Start, house: House, ground: Bool[np.ndarray, "h w"]) -> str:
+    """The reason why no episode can start at a pose, and the nearest cell in which one can."""
+    if reason := why_no_path(house.terrain):
+        return f"no episode can be run in {house.name}: {reason}"
+    if not 0 <= start.heading < HEADINGS:
+        return f"there is no heading {start.heading}; give 0 (right), 1 (down), 2 (left) or 3 (up)"
+    height, width = ground.shape
+    cell = f"column {start.x}, row {start.y}"
+    if not (0 <= start.x < width and 0 <= start.y < height):
+        reason = f"{cell} is off the map of {width} x {height} cells"
+    elif (class_index := house.terrain[start.y, start.x]) == FRONT_DOOR:
+        reason = f"{cell} is a goal already"
+    elif not TRAVERSABLE[class_index]:
+        name = CLASS_NAMES[class_index] if class_index else "unknown"
+        reason = f"{cell} is {name!r}, which is not traversable"
+    else:
+        reason = f"no goal can be reached from {cell}"
+    rows, columns = np.nonzero(ground)
+    nearest = int(np.argmin((columns - start.x) ** 2 + (rows - start.y) ** 2))
+    return f"{reason}; the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"
 
 
 def why_no_episode(house: House) -> str | None:
@@ -152,10 +178,10 @@ def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list
     no starts, see `why_no_episode`.
 
     Raises:
-      InputError: `per_house` is less than 1.
+      InputError: `per_house` is less than 1, or the seed is invalid.
     """
-    if per_house < 1:
-        raise InputError(f"{per_house} starts per house: give 1 or more")
+    check_number("starts per house", per_house, whole=True, least=1)
+    check_seed(seed)
     starts = []
     for house in houses:
         if why_no_episode(house) is not None:
@@ -169,28 +195,12 @@ def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list
     return starts
 
 
-_REQUIRED = ("house", "x", "y", "heading")
+#: Columns of numbers with the largest number of each; whether a cell is on the map is checked later.
+_REQUIRED_NUMBERS = {"x": 10**9 - 1, "y": 10**9 - 1, "heading": HEADINGS - 1}
+_REQUIRED = ("house", *_REQUIRED_NUMBERS)
 _OPTIONAL = ("range", "expanding_range")
 # Kernels of the authors' code need two cells.
 _MIN_RANGE = 2
-
-
-def _read_start(where: str, row: dict[str, str], house: House, connected: Bool[np.ndarray, "h w"]) -> Start:
-    """A start on one of the `connected` cells, those that a front door can be reached from."""
-
-    def number(column: str, low: int, high: int) -> int:
-        return whole_cell(f"{where}: {column}", row[column], low, high)
-
-    height, width = house.terrain.shape
-    x, y = number("x", 0, width - 1), number("y", 0, height - 1)
-    if house.terrain[y, x] == FRONT_DOOR:
-        nearest = nearest_start(house.terrain, x, y)
-        raise InputError(f"{where}: ({x}, {y}) in {house.name} is a front door already; {nearest}")
-    if not connected[y, x]:
-        nearest = nearest_start(house.terrain, x, y)
-        raise InputError(f"{where}: no front door of {house.name} can be reached from ({x}, {y}); {nearest}")
-    ranges = [number(column, _MIN_RANGE, MAX_SENSING_RANGE) if row[column] else None for column in _OPTIONAL]
-    return Start(house.name, x, y, number("heading", 0, HEADINGS - 1), *ranges)
 
 
 def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
@@ -205,22 +215,17 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
     path = Path(path)
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
 
-    @functools.cache  # there may be a million starts in a few houses
-    def look_up(name: str) -> tuple[House, Bool[np.ndarray, "h w"]]:
-        house = dataset.house(name)
-        if reason := why_no_episode(house):
-            raise InputError(f"no episode can be run in {name}: {reason}; remove the line")
-        return house, connected_to_goal(house.terrain)
+    def number(column: str, low: int, high: int) -> int:
+        return whole_cell(f"{path}: line {line}: {column}", row[column], low, high)
 
-    starts, of_planners = [], set()
+    starts, lines, of_planners = [], [], set()
     for line, row in table_lines(path, _REQUIRED, optional=(*_OPTIONAL, "planner"), remedy=remedy):
         of_planners.add(row["planner"])
-        where = f"{path}: line {line}"
-        try:
-            house, connected = look_up(row["house"])
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
-        starts.append(_read_start(where, row, house, connected))
+        ranges = [number(column, _MIN_RANGE, MAX_SENSING_RANGE) if row[column] else None for column in _OPTIONAL]
+        x, y, heading = (number(column, 0, most) for column, most in _REQUIRED_NUMBERS.items())
+        starts.append(Start(row["house"], x, y, heading, *ranges))
+        lines.append(line)
+    check_starts(starts, dataset, lambda number: f"{path}: line {lines[number]}")
     planners = sorted(of_planners)
     if len(planners) > 1:
         raise InputError(

@@ -20,7 +20,7 @@ from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH,
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, sensing_of
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.evaluation import action_letters
+from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
 
 #: Range of the field of view in cells, for planners without rules.
@@ -186,14 +186,7 @@ class _Alone:
         self._step = jit(stepped)
 
     def actions(self, place: str, world: World, start: Pose, ground: int) -> str:
-        """The actions of an episode as letters.
-
-        Args:
-          place: name of the episode for messages.
-          world: its world.
-          start: first pose.
-          ground: number of traversable cells. No shortest plan has more actions than there are poses on them.
-        """
+        """The actions of an episode as letters. No shortest plan has more actions than poses on the `ground`."""
         belief, state = self._reset(world, start), self._init(self._planner, world)
         letters, unrevealing, patience = "", 0, HEADINGS * ground
         while len(letters) < STEP_LIMIT:

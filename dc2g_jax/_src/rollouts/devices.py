@@ -16,7 +16,7 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Int
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_number
 
 #: The mesh's axis, and the one that trainings of several runs have before it.
 AXIS, RUNS = "devices", "runs"
@@ -55,8 +55,8 @@ def join_processes(
     given = [value for value in (coordinator, num_processes, process_id) if value is not None]
     if len(given) not in (0, 3):
         raise InputError("give --coordinator HOST:PORT, --num-processes and --process-id together, or none of them")
-    if num_processes is not None and process_id is not None and not 0 <= process_id < num_processes:
-        raise InputError(f"--process-id {process_id}: give a number from 0 to {num_processes - 1}")
+    if num_processes is not None:
+        check_number("--process-id", process_id, whole=True, least=0, most=num_processes - 1)
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     jax.config.update("jax_enable_preemption_service", False)  # it would catch SIGTERM, and nobody asks it
     try:
@@ -79,8 +79,7 @@ def use_cores(count: int | None = None) -> None:
       InputError: the number is less than 1, or JAX has already started with another number.
     """
     wanted = cores() if count is None else count
-    if wanted < 1:
-        raise InputError(f"{wanted} cores: give at least 1")
+    check_number("number of cores", wanted, whole=True, least=1)
     try:
         jax.config.update("jax_num_cpu_devices", wanted)
     except RuntimeError:

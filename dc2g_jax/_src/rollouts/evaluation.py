@@ -1,28 +1,29 @@
 """Evaluate planners from given starts in houses, relative to the oracle (paper, section IV-B)."""
 
 import collections
+import functools
+import itertools
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.ground import connected_to_goal, longest_way
-from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, make_pose
+from dc2g_jax._src.grid.poses import Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
-from dc2g_jax._src.grid.terrain import FRONT_DOOR
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
-from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner, sensing_of
+from dc2g_jax._src.planning.planners import GAVE_UP, Oracle, Planner, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import (
     PROCEDURAL,
@@ -32,11 +33,10 @@ from dc2g_jax._src.readers.houses import (
     procedural_dataset,
     stack_worlds,
 )
-from dc2g_jax._src.readers.starts import Start, nearest_start, sample_starts, usable_houses, why_no_start
+from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
-from dc2g_jax._src.rollouts.results import write_rows
+from dc2g_jax._src.rollouts.results import EpisodeResult, Results, rows_of
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
-from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, extra_steps, tabulate
 
 #: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
@@ -44,8 +44,8 @@ _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 #: Actions for each cell of the longest way to a goal, at least.
 _STEPS_A_CELL_OF_WAY = 4
 
-#: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
-_ROUNDING = 0.1
+#: An estimator, or the place of a trained network; `None` for the shipped network.
+Network = Estimator | str | os.PathLike[str] | None
 
 #: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
 PlannerSource = str | Planner | Callable[[Rules], Planner]
@@ -54,98 +54,14 @@ PlannerSource = str | Planner | Callable[[Rules], Planner]
 Planners = Iterable[str] | Mapping[str, PlannerSource]
 
 
-class EpisodeResult(NamedTuple):
-    """One episode of one planner, a row of `episodes.csv`.
-
-    Attributes:
-      house: name of the house.
-      x: first column.
-      y: first row.
-      heading: first heading.
-      range: range of the field of view, in cells.
-      expanding_range: range of the frontier-expanding kernel in cells, `None` if the rules have none.
-      planner: name of the planner.
-      success: whether the robot reached a goal within the step limit.
-      steps: number of actions.
-      oracle_steps: number of actions of the oracle from the same start.
-      extra: extra steps beyond the oracle's, in percent.
-      mode: plan mode of the last decision.
-      actions: the actions as letters F, L, R; empty if the planner gave up at once.
-    """
-
-    house: str
-    x: int
-    y: int
-    heading: int
-    range: int
-    expanding_range: int | None
-    planner: str
-    success: bool
-    steps: int
-    oracle_steps: int
-    extra: float
-    mode: Mode
-    actions: str = ""
-
-    def check(self) -> None:
-        """Check that the values of a row belong together, such as one that was read from a file.
-
-        Raises:
-          ValueError: they do not.
-        """
-        if min(self.x, self.y, self.heading, self.range, self.steps) < 0 or self.heading >= HEADINGS:
-            raise ValueError(f"x {self.x}, y {self.y}, heading {self.heading}, range {self.range}, {self.steps} steps")
-        if set(self.actions) - set(ACTION_LETTERS):
-            raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
-        if self.actions and len(self.actions) != self.steps:
-            raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
-        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
-            raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
-
-
-class Results(tuple[EpisodeResult, ...]):
-    """A tuple of results of one or more planners: planner by planner, each in the order of the starts.
-
-    `print(results)` shows the summary of each planner.
-    """
-
-    def of(self, planner: str) -> "Results":
-        """The episodes of one planner."""
-        return Results(result for result in self if result.planner == planner)
-
-    def summary(self) -> dict[str, Summary]:
-        """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
-        episodes = (ExtraSteps(one.planner, "all", one.house, one.extra, one.success) for one in self)
-        return {planner: row["all"] for planner, row in tabulate(episodes, ("all",)).items()}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""
-        write_rows(Path(path), EpisodeResult, self)
-
-    def __str__(self) -> str:
-        """See `as_text`."""
-        return as_text(self.summary())
-
-
-def as_text(table: Mapping[str, Summary]) -> str:
-    """A table: extra steps beyond the oracle and success, a line for each planner."""
-    width = max(map(len, ("planner", *table)))
-    lines = [f"{'planner':{width}}   extra steps %: mean   median   success %   episodes"]
-    for planner, row in table.items():
-        lines.append(
-            f"{planner:{width}}{row.mean_extra:>22.1f}{row.median_extra:>9.1f}{100 * row.success:>12.1f}"
-            f"{row.episodes:>11,}"
-        )
-    return "\n".join(lines)
-
-
-def action_letters(trajectories: Trajectories, episode: int) -> str:
-    """The actions of one episode as letters F, L, R."""
-    return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
-
-
 def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes:
-    """Convert starts to `Episodes`, given each house's index in the stack of worlds."""
+    """Convert starts to `Episodes`, given each house's index in the stack of worlds.
+
+    Raises:
+      InputError: a start is in another house.
+    """
+    for house in {start.house for start in starts} - index.keys():
+        check_name("house of a start", house, index)
     table = np.array([(index[start.house], start.x, start.y, start.heading) for start in starts], np.int32)
     world, x, y, heading = table.reshape(-1, 4).T
     return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
@@ -207,8 +123,7 @@ class Runner:
         self._settings = settings
         if step_limit is None:
             step_limit = max([STEP_LIMIT, *(_default_step_limit(house.terrain) for house in dataset.houses)])
-        if step_limit < 1:
-            raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
+        check_number("step limit", step_limit, whole=True, least=1, hint="(--step-limit)")
         self.step_limit = step_limit
         self._progress = progress
         self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], np.ndarray] = {}
@@ -231,18 +146,18 @@ class Runner:
           name: name for progress reports.
 
         Raises:
-          KeyError: a start is in a house that the dataset does not have.
-          ValueError: the houses differ in size.
-          InputError: the planner lacks a part of the protocol, or gives up because its estimator estimates NaN.
+          InputError: no episode can start at one of the starts, the houses differ in size, or the planner lacks a part
+            of the protocol, or gives up because its estimator estimates NaN.
         """
+        check_starts(starts, self._dataset)
+        sizes = {self._size[start.house] for start in starts}
+        if len(sizes) != 1:
+            raise InputError(f"starts in houses of {len(sizes)} sizes; give starts in houses of one size")
+        worlds = self._worlds[sizes.pop()]
         for needed in ("init", "plan"):
             if not hasattr(planner, needed):
                 who = name or type(planner).__name__
                 raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
-        sizes = {self._size[start.house] for start in starts}
-        if len(sizes) != 1:
-            raise ValueError(f"starts in houses of {len(sizes)} sizes; give starts in houses of one size")
-        worlds = self._worlds[sizes.pop()]
         episodes = episodes_from(starts, self._index)
 
         def report(finished: int) -> None:
@@ -271,103 +186,103 @@ class Runner:
                 )
         return done
 
-    def _oracle(self, rules: Rules, starts: Sequence[Start]) -> Trajectories:
-        """The oracle's trajectories, of which the numbers of steps are kept.
-
-        Raises:
-          InputError: not even the oracle reaches a goal from a start within the step limit.
-        """
-        oracle = self.trajectories(Oracle(), rules, starts, "oracle")
-        if not np.all(oracle.success):
-            start = starts[int(np.argmin(oracle.success))]
-            terrain = self._dataset.house(start.house).terrain
-            if problem := why_no_start(terrain, start.x, start.y):
-                raise InputError(f"{start}: {problem}; {nearest_start(terrain, start.x, start.y)}")
-            raise InputError(
-                f"{start}: even with the map known no goal is reached within {self.step_limit} actions; give a larger "
-                "step limit, or start elsewhere"
-            )
-        self._oracle_steps[rules, tuple(starts)] = oracle.steps
-        return oracle
-
     def run(
-        self, starts: Sequence[Start], planners: Planners, estimator: Estimator | None = None
+        self,
+        starts: Sequence[Start],
+        planners: Planners,
+        network: Estimator | Mapping[str, Estimator] | None = None,
     ) -> list[EpisodeResult]:
         """Run planners from every start.
 
         Args:
           starts: first poses; each may have its own ranges.
           planners: see `Planners`. The name `oracle` is reserved for the oracle of the package.
-          estimator: network of the planners that need one.
+          network: network of the planners that need one, or several by name, see `by_name`.
 
         Returns:
           Results, planner by planner in the given order, each in the order of the starts.
 
         Raises:
-          ValueError: a start is not on the map or is on a front door, or another planner is called `oracle`.
-          InputError: a planner is unknown or was made for another field of view, the oracle does not reach a goal from
-            a start within the step limit, or a start has an expanding range and the rules have no frontier-expanding
-            kernel.
+          InputError: no episode can start at one of the starts, a planner is unknown or was made for another field of
+            view, another planner is called `oracle`, the oracle does not reach a goal from a start within the step
+            limit, or a start has an expanding range and the rules have no frontier-expanding kernel.
         """
-        named = by_name(planners)
+        named = by_name(planners, network)
         if named.get("oracle", "oracle") != "oracle":
-            raise ValueError(
+            raise InputError(
                 "planner oracle: the name is reserved for the oracle that all are compared with; use another"
             )
-        for start in starts:
-            terrain = self._dataset.house(start.house).terrain
-            height, width = terrain.shape
-            if not (0 <= start.x < width and 0 <= start.y < height and 0 <= start.heading < HEADINGS):
-                raise ValueError(
-                    f"{start}: is no pose on a map of {width} x {height} cells; columns, rows and headings count from 0"
-                )
-            if terrain[start.y, start.x] == FRONT_DOOR:
-                raise ValueError(f"{start}: stands on a front door already; start elsewhere")
+        check_starts(starts, self._dataset)
         together: dict[tuple[Any, ...], list[int]] = collections.defaultdict(list)
         for number, start in enumerate(starts):
             together[start.sensing_range, start.expanding_range, self._size[start.house]].append(number)
         results: dict[tuple[str, int], EpisodeResult] = {}
         for numbers in together.values():
-            chosen = [starts[number] for number in numbers]
+            chosen = tuple(starts[number] for number in numbers)
             rules = self.rules(chosen[0])
-            key = rules, tuple(chosen)
-            needed = "oracle" in named or key not in self._oracle_steps
-            oracle = self._oracle(rules, chosen) if needed else None
+            oracle: Trajectories | None = None
+            if "oracle" in named or (rules, chosen) not in self._oracle_steps:
+                oracle = self.trajectories(Oracle(), rules, chosen, "oracle")
+                if not np.all(oracle.success):
+                    raise InputError(
+                        f"{chosen[int(np.argmin(oracle.success))]}: even with the map known no goal is reached within "
+                        f"{self.step_limit} actions; give a larger step limit, or start elsewhere"
+                    )
+                self._oracle_steps[rules, chosen] = oracle.steps
             for name, source in named.items():
-                if name == "oracle" and oracle is not None:
-                    done = oracle
-                else:
-                    done = self.trajectories(_made(name, source, rules, estimator), rules, chosen, name)
-                oracle_steps = self._oracle_steps[key]
-                for row, number in enumerate(numbers):
-                    results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle_steps[row]))
+                done = oracle if name == "oracle" else None
+                if done is None:
+                    done = self.trajectories(_made(name, source, rules), rules, chosen, name)
+                rows = rows_of(name, chosen, rules, done, self._oracle_steps[rules, chosen])
+                results |= zip(((name, number) for number in numbers), rows, strict=True)
         return [results[name, number] for name in named for number in range(len(starts))]
 
 
-def by_name(planners: Planners) -> Mapping[str, PlannerSource]:
-    """Planners by the names that they have in results, each once."""
-    return planners if isinstance(planners, Mapping) else {name: name for name in planners}
+def by_name(planners: Planners, network: Estimator | Mapping[str, Estimator] | None = None) -> dict[str, PlannerSource]:
+    """Planners by the names that they have in results, each once.
+
+    Planners that need a network get it. If there are several networks by name, there is one for each, called
+    `planner (network)`.
+    """
+    named = planners if isinstance(planners, Mapping) else {name: name for name in planners}
+    networks = network if isinstance(network, Mapping) else {"": network}
+    found: dict[str, PlannerSource] = {}
+    for name, source in named.items():
+        if not isinstance(source, str) or source not in NETWORK_PLANNERS:
+            found[name] = source
+            continue
+        for label, estimator in networks.items():
+            label = f"{name} ({label})" if label else name
+            found[label] = functools.partial(planner_with, source, estimator=estimator)
+    return found
 
 
-def _result(
-    start: Start, rules: Rules, name: str, trajectories: Trajectories, row: int, oracle_steps: int
-) -> EpisodeResult:
-    steps = int(trajectories.steps[row])
-    return EpisodeResult(
-        house=start.house,
-        x=start.x,
-        y=start.y,
-        heading=start.heading,
-        range=rules.sensing.radius,
-        expanding_range=rules.expanding_range,
-        planner=name,
-        success=bool(trajectories.success[row]),
-        steps=steps,
-        oracle_steps=oracle_steps,
-        extra=extra_steps(steps, oracle_steps),
-        mode=MODE_NAMES[trajectories.mode[row]],
-        actions=action_letters(trajectories, row),
-    )
+def open_networks(
+    networks: Network | Mapping[str, Network] | Sequence[str | os.PathLike[str]],
+) -> Estimator | dict[str, Estimator]:
+    """Load one network, or several by name. Several places are called by as much of their end as differs.
+
+    Raises:
+      InputError: a network cannot be read, or there is no network or one twice.
+    """
+    if isinstance(networks, Sequence) and not isinstance(networks, str):
+        if len(networks) == 1:
+            return open_estimator(networks[0])
+        networks = _labels(networks)
+    if not isinstance(networks, Mapping):
+        return open_estimator(networks)
+    if not networks:
+        raise InputError("network: give one at least, or None for the shipped one")
+    return {label: open_estimator(place) for label, place in networks.items()}
+
+
+def _labels(places: Sequence[str | os.PathLike[str]]) -> dict[str, str | os.PathLike[str]]:
+    """Places by their last parts, as many of them as tell all places apart."""
+    parts = [Path(place).parts for place in places]
+    if len(set(parts)) < len(parts):
+        raise InputError(f"networks {short(list(map(str, places)))}: give each once")
+    count = next(count for count in itertools.count(1) if len({part[-count:] for part in parts}) == len(parts))
+    return {"/".join(part[-count:]): place for part, place in zip(parts, places, strict=True)}
 
 
 def evaluate(
@@ -380,7 +295,7 @@ def evaluate(
     seed: int = 0,
     settings: str | Settings = "paper",
     sensing_range: int | None = None,
-    network: Estimator | str | os.PathLike[str] | None = None,
+    network: Network | Mapping[str, Network] | Sequence[str | os.PathLike[str]] = None,
     step_limit: int | None = None,
     progress: Callable[[str, int, int], None] | bool = True,
 ) -> Results:
@@ -406,7 +321,8 @@ def evaluate(
       settings: the rules, one of `dc2g_jax.SETTINGS` or its name.
       sensing_range: range of the field of view in cells, for starts without one; `None` for the settings' default.
       network: network of the planners that need one: an estimator or the folder of a trained network; `None` for the
-        shipped network.
+        shipped network. Several of them, as a mapping from a name of your choice or as a list of folders, are compared:
+        planners that need a network are run with each, and called `dc2g (name)` in the results.
       step_limit: actions after which an episode ends without success; `None` for the default for the maps' size, see
         `Runner`.
       progress: whether to show a progress bar for each planner in the error stream; or a function, called as
@@ -419,16 +335,17 @@ def evaluate(
     keep_compiled_programs()
     if isinstance(planners, str) or not isinstance(planners, Iterable):
         planners = [planners]
-    named = by_name(planners)
     if not isinstance(planners, Mapping):
-        for name in named:
+        planners = list(planners)
+        for name in planners:
             if not isinstance(name, str):
                 raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
-    sources = [source for source in named.values() if isinstance(source, str)]
+    named = planners.values() if isinstance(planners, Mapping) else planners
+    sources = [source for source in named if isinstance(source, str)]
     check_names(sources)
     settings = named_settings(settings)
     settings.rules(sensing_range)
-    estimator = open_estimator(network) if NETWORK_PLANNERS.keys() & set(sources) else None
+    estimator = open_networks(network) if NETWORK_PLANNERS.keys() & set(sources) else None
     if not isinstance(dataset, HouseDataset | str | os.PathLike | None):
         raise InputError(f"dataset {short(type(dataset).__name__)}: give a `HouseDataset`, a folder of maps, or a name")
     if not isinstance(dataset, HouseDataset):
@@ -441,13 +358,13 @@ def evaluate(
         starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
     told = progress if callable(progress) else EpisodeProgress(leave=False) if progress else None
     runner = Runner(dataset, settings, step_limit=step_limit, progress=told)
-    return Results(runner.run(starts, named, estimator))
+    return Results(runner.run(starts, planners, estimator))
 
 
-def _made(name: str, source: PlannerSource, rules: Rules, estimator: Estimator | None) -> Planner:
+def _made(name: str, source: PlannerSource, rules: Rules) -> Planner:
     """Make a planner and check that it uses the episodes' field of view."""
     if isinstance(source, str):
-        return planner_with(source, rules, estimator)
+        return planner_with(source, rules)
     ready = hasattr(source, "plan") and not isinstance(source, type)
     planner: Any = source if ready else source(rules)  # type: ignore[operator]
     sensing_of(planner, rules.sensing, name)

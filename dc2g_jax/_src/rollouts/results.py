@@ -1,141 +1,163 @@
-"""Results of a run in a CSV file, saved immediately so that the run can be resumed."""
+"""Results of episodes: one row each, and many of them as rows, as arrays and as summaries."""
 
-import csv
-import itertools
-import mmap
-import re
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import NoneType
-from typing import Any, Generic, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import NamedTuple
 
-from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.files.reading import check_file
-from dc2g_jax._src.files.tables import table_lines, write_table
+import numpy as np
 
-#: A row of the file: a NamedTuple of strings, numbers and booleans, whose fields are the columns. Its first fields
-#: identify the result.
-_Row = TypeVar("_Row", bound=tuple)
+from dc2g_jax._src.errors import check_name, short
+from dc2g_jax._src.files.rows import write_rows
+from dc2g_jax._src.files.tables import text_table
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS
+from dc2g_jax._src.planning.planners import MODE_NAMES, Mode
+from dc2g_jax._src.planning.rules import Rules
+from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.rollouts.rollout import Trajectories
+from dc2g_jax._src.rollouts.statistics import Summary, extra_steps, summarize
 
+#: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
+_ROUNDING = 0.1
 
-def write_rows(path: Path, kind: type[_Row], rows: Sequence[_Row]) -> None:
-    """Write rows of one type, with booleans as 1 and 0 and `None` as an empty cell."""
-    write_table(path, [*get_type_hints(kind)], map(_cells, rows))
-
-
-def _cells(row: tuple[Any, ...]) -> list[Any]:
-    return [int(value) if isinstance(value, bool) else value for value in row]
-
-
-def read_rows(path: Path, kind: type[_Row]) -> list[_Row]:
-    """All rows of a file; see `rows_of`."""
-    return list(rows_of(path, kind))
+#: Planner -> group of houses -> summary.
+Table = Mapping[str, Mapping[str, Summary]]
 
 
-def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
-    """Read the rows of `write_rows` one by one. Fields that have a default or may be `None` may be empty or missing.
+class EpisodeResult(NamedTuple):
+    """One episode of one planner, a row of `episodes.csv`.
 
-    A row may have a method `check`, which raises ValueError if its values contradict each other.
-
-    Raises:
-      InputError: the file cannot be read, a column is missing, or a value is invalid; the message names the line.
-    """
-    types, defaults = get_type_hints(kind), getattr(kind, "_field_defaults", {})
-    optional = [name for name, one in types.items() if name in defaults or NoneType in get_args(one)]
-    columns = [name for name in types if name not in optional]
-    for line, cells in table_lines(path, columns, optional=optional, remedy="give the table of an earlier run"):
-        try:
-            values = {name: _value(types[name], cell) for name, cell in cells.items() if cell}
-            row = kind(**{**dict.fromkeys(optional), **defaults, **values})
-            getattr(row, "check", lambda: None)()
-        except ValueError as error:
-            raise InputError(
-                f"{path}: line {line}: {error}; repair the line, or remove the file to run it anew"
-            ) from None
-        yield row
-
-
-def _value(kind: Any, text: str) -> Any:
-    """Convert a cell to a type."""
-    if NoneType in get_args(kind):
-        return _value(get_args(kind)[0], text)
-    if get_origin(kind) is Literal:
-        if text in get_args(kind):
-            return text
-        raise ValueError(f"{short(text)} is none of {', '.join(get_args(kind))}")
-    if kind is bool and text not in ("0", "1"):
-        raise ValueError(f"{short(text)} is neither 0 nor 1")
-    if kind is int and not re.fullmatch(r"-?[0-9]{1,18}", text):
-        raise ValueError(f"{short(text)} is not a whole number")
-    return text == "1" if kind is bool else kind(text)
-
-
-class ResumableTable(Generic[_Row]):
-    """A file of results that grows. It is not held in memory.
-
-    When a run is resumed, it returns the results in the file and computes the rest. A run must request them in the same
-    order every time. If the process was killed, the last results may be incomplete.
-
-    Args:
-      path: the file.
-      kind: type of its rows.
-
-    Raises:
-      InputError: the file exists and cannot be read.
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      range: range of the field of view, in cells.
+      expanding_range: range of the frontier-expanding kernel in cells, `None` if the rules have none.
+      planner: name of the planner.
+      success: whether the robot reached a goal within the step limit.
+      steps: number of actions.
+      oracle_steps: number of actions of the oracle from the same start.
+      extra: extra steps beyond the oracle's, in percent.
+      mode: plan mode of the last decision.
+      actions: the actions as letters F, L, R; empty if the planner gave up at once.
     """
 
-    def __init__(self, path: Path, kind: type[_Row]):
-        self._path, self._kind = path, kind
-        self._kept: Iterator[_Row] = iter(())
-        if path.exists():
-            check_file(path, "remove it, or give another folder")
-            _drop_cut_off_line(path)
-            with path.open(encoding="utf-8", errors="replace") as file:
-                as_written_now = file.readline(2**16).strip() == ",".join(get_type_hints(kind))
-            if not as_written_now:  # rows are added below
-                write_rows(path, kind, read_rows(path, kind))
-            self._kept = rows_of(path, kind)
+    house: str
+    x: int
+    y: int
+    heading: int
+    range: int
+    expanding_range: int | None
+    planner: str
+    success: bool
+    steps: int
+    oracle_steps: int
+    extra: float
+    mode: Mode
+    actions: str = ""
 
-    def next_results(self, asked: Sequence[tuple[Any, ...]], make: Callable[[], list[_Row]]) -> list[_Row]:
-        """The next rows from the file. If it ends before the last of them, they are computed and appended.
-
-        Args:
-          asked: the first values of each row, which identify it.
-          make: computes the rows.
+    def check(self) -> None:
+        """Check that the values of a row belong together, such as one that was read from a file.
 
         Raises:
-          InputError: the file holds other rows, or one that cannot be read.
+          ValueError: they do not.
         """
-        rows = list(itertools.islice(self._kept, len(asked)))
-        self._check(rows, asked)
-        if len(rows) < len(asked):
-            made = make()
-            self._check(made, asked)
-            self._add(made[len(rows) :])
-            rows = made
-        return rows
-
-    def _check(self, rows: Sequence[_Row], asked: Sequence[tuple[Any, ...]]) -> None:
-        for row, values in zip(rows, asked, strict=False):
-            if row[: len(values)] != values:
-                raise InputError(
-                    f"{self._path}: has {','.join(map(str, row[: len(values)]))} where this run has "
-                    f"{','.join(map(str, values))}; remove the file to run it anew"
-                )
-
-    def _add(self, rows: Sequence[_Row]) -> None:
-        if self._path.exists():
-            with self._path.open("a", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerows(map(_cells, rows))
-        else:
-            write_rows(self._path, self._kind, rows)
+        if min(self.x, self.y, self.heading, self.range, self.steps) < 0 or self.heading >= HEADINGS:
+            raise ValueError(f"x {self.x}, y {self.y}, heading {self.heading}, range {self.range}, {self.steps} steps")
+        if set(self.actions) - set(ACTION_LETTERS):
+            raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
+        if self.actions and len(self.actions) != self.steps:
+            raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
+        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
+            raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
 
 
-def _drop_cut_off_line(path: Path) -> None:
-    """Remove an incomplete last line."""
-    if size := path.stat().st_size:
-        with path.open("r+b") as file:
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                end = data.rfind(b"\n") + 1
-            if end < size:
-                file.truncate(end)
+def action_letters(trajectories: Trajectories, episode: int) -> str:
+    """The actions of one episode as letters F, L, R."""
+    return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
+
+
+def rows_of(
+    name: str, starts: Sequence[Start], rules: Rules, done: Trajectories, oracle_steps: np.ndarray
+) -> list[EpisodeResult]:
+    """Results of one planner's rollout, in the order of the starts."""
+    return [
+        EpisodeResult(
+            *start[:4], rules.sensing.radius, rules.expanding_range, name, bool(done.success[row]), steps, shortest,
+            extra_steps(steps, shortest), MODE_NAMES[done.mode[row]], action_letters(done, row),
+        )
+        for row, (start, steps, shortest) in enumerate(
+            zip(starts, done.steps.tolist(), oracle_steps.tolist(), strict=True)
+        )
+    ]  # fmt: skip
+
+
+class Results(tuple[EpisodeResult, ...]):
+    """A tuple of results of one or more planners: planner by planner, each in the order of the starts.
+
+    `print(results)` shows the summary of each planner.
+    """
+
+    def of(self, planner: str) -> "Results":
+        """The episodes of one planner."""
+        return Results(result for result in self if result.planner == planner)
+
+    def array(self, field: str) -> dict[str, np.ndarray]:
+        """One field of all episodes as an array for each planner, `[starts]`, in the order of the starts.
+
+        ```
+        extra = results.array("extra")
+        print(np.mean(extra["frontier"] - extra["dc2g"]))
+        ```
+
+        Args:
+          field: a field of `EpisodeResult`.
+
+        Raises:
+          InputError: there is no such field.
+        """
+        check_name("field of a result", field, EpisodeResult._fields)
+        values: dict[str, list[object]] = {}
+        for result in self:
+            values.setdefault(result.planner, []).append(getattr(result, field))
+        return {planner: np.array(own) for planner, own in values.items()}
+
+    def summary(self) -> dict[str, Summary]:
+        """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
+        return {planner: row["all"] for planner, row in tabulate(self, ("all",)).items()}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""
+        write_rows(Path(path), EpisodeResult, self)
+
+    def __str__(self) -> str:
+        """See `as_text`."""
+        return as_text(self.summary())
+
+
+def tabulate(
+    results: Iterable[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str] | None = None
+) -> dict[str, dict[str, Summary]]:
+    """Summary by planner and group of houses; the last of the groups holds all episodes."""
+    cells: dict[str, dict[str, list[EpisodeResult]]] = {}
+    for one in results:
+        for group in {(group_by_house or {}).get(one.house, groups[-1]), groups[-1]}:
+            cells.setdefault(one.planner, {}).setdefault(group, []).append(one)
+    return {
+        planner: {
+            group: summarize(*zip(*((one.extra, one.success, one.house) for one in own[group]), strict=True))
+            for group in groups
+            if group in own
+        }
+        for planner, own in cells.items()
+    }
+
+
+def as_text(table: Mapping[str, Summary]) -> str:
+    """A table: extra steps beyond the oracle and success, a line for each planner."""
+    rows = (
+        (planner, f"{row.mean_extra:.1f}", f"{row.median_extra:.1f}", f"{100 * row.success:.1f}", f"{row.episodes:,}")
+        for planner, row in table.items()
+    )
+    return text_table(("planner", "extra steps %: mean", "median", "success %", "episodes"), rows)

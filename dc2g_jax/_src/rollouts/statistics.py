@@ -1,8 +1,7 @@
 """Extra steps, and their statistics over many episodes (paper, section IV-B)."""
 
-import collections
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -65,32 +64,6 @@ def summarize(
     return Summary(
         float(np.mean(extra)), float(median), float(low), float(high), float(np.mean(success)), len(extra), *interval
     )
-
-
-class ExtraSteps(NamedTuple):
-    """One planner's extra steps in one episode, with its group."""
-
-    planner: str
-    group: str
-    house: str
-    extra: float
-    success: bool
-
-
-def tabulate(episodes: Iterable[ExtraSteps], groups: tuple[str, ...]) -> dict[str, dict[str, Summary]]:
-    """Summary by planner and group; the last of the groups holds all episodes."""
-    cells: dict[str, dict[str, list[ExtraSteps]]] = collections.defaultdict(lambda: collections.defaultdict(list))
-    for episode in episodes:
-        for group in {episode.group, groups[-1]}:
-            cells[episode.planner][group].append(episode)
-    return {
-        planner: {
-            group: summarize(*zip(*((e.extra, e.success, e.house) for e in by_group[group]), strict=True))
-            for group in groups
-            if group in by_group
-        }
-        for planner, by_group in cells.items()
-    }
 
 
 class Mean(NamedTuple):

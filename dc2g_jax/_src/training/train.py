@@ -21,8 +21,9 @@ from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
-from dc2g_jax._src.rollouts.evaluation import Results, evaluate
+from dc2g_jax._src.rollouts.evaluation import evaluate
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import Results
 from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.cost_to_go import (
     CostToGoTraining,

@@ -23,7 +23,7 @@ from dc2g_jax._src.planning.decisions import HEADING_NAMES
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.readers.houses import House
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.columns import (
     SO_FAR,

@@ -1,15 +1,21 @@
 """Statistics of both sides of the same episodes, from pairs made by hand."""
 
+import json
+
 import pytest
 
 from dc2g_jax._src.readers.starts import published_episodes
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import EpisodeResult, tabulate
 from experiments.support.published import (
+    PUBLISHED_GROUPS,
     EpisodePair,
+    authors_results,
     compare,
+    group_by_house,
     houses_where_frontier_is_shorter,
     pair_up,
 )
+from tests.support.places import ROOT
 
 
 def pair(
@@ -100,3 +106,12 @@ def test_the_authors_frontier_exploration_is_as_in_the_paper():
     expected = {"ours": [], "authors": ["n001m000h001", "n002m001h007"]}
     assert houses_where_frontier_is_shorter(pairs) == expected
     assert compare(pairs, resamples=1, seed=0)["authors_frontier_over_dc2g"] == pytest.approx(189.8, abs=0.05)
+
+
+def test_the_authors_table_is_the_published_one():
+    stored = json.loads((ROOT / "docs" / "results.json").read_text())["fig7"]["published"]
+    table = tabulate(authors_results(), PUBLISHED_GROUPS, group_by_house())
+    for planner, row in table.items():
+        for group, summary in row.items():
+            for name, value in stored[planner][group].items():
+                assert getattr(summary, name) == pytest.approx(value, abs=1e-3), (planner, group, name)

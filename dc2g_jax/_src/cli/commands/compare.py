@@ -2,16 +2,19 @@
 
 import dataclasses
 import itertools
+import json
+import re
 import time
 from collections import Counter
+from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import tyro
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests, network_for
-from dc2g_jax._src.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, ResumeOptions, require_positive
-from dc2g_jax._src.cli.outputs import command_written, output_folder, print_files
+from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests
+from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
+from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
+from dc2g_jax._src.cli.outputs import RUN_FILE, output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.results_figures import plot_leaderboard
 from dc2g_jax._src.own_parts import is_own_part
@@ -20,15 +23,14 @@ from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.families import FAMILIES, family_of, gather
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start, sample_starts
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, leaders, page, standings
-
-#: The planner that all are compared with.
-_REFERENCE = "frontier"
+from dc2g_jax._src.rollouts.evaluation import Runner, by_name
+from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, REFERENCE, families_of, page
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(NetworkOptions, OutOptions, ResumeOptions):
+class Options(NetworksOptions, OutOptions, ResumeOptions):
     """Run planners from the same starts in families of maps; write a table, a figure and the page `leaderboard.md`.
 
     Attributes:
@@ -46,7 +48,7 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
       seed: seed of the starts.
     """
 
-    planner: PlannersOption = ("oracle", _REFERENCE, "dc2g", "dc2g_paper", *RIVALS, *NETWORK_RIVALS)
+    planner: PlannersOption = ("oracle", REFERENCE, "dc2g", "dc2g_paper", *RIVALS, *NETWORK_RIVALS)
     family: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = FAMILIES
     split: Literal["val", "test"] = "test"
     maps: int = 56
@@ -60,17 +62,17 @@ def main(options: Options) -> None:
     """Run all planners in all families, and tell where each stands."""
     require_positive(options, "maps", "starts", "most_cells")
     check_planners(options.planner)
-    compared = [name for name in options.planner if name != _REFERENCE and name not in PRIVILEGED]
-    if _REFERENCE not in options.planner or not compared:
+    if REFERENCE not in options.planner or not {*options.planner} - {REFERENCE, *PRIVILEGED}:
         raise InputError(
-            f"--planner {' '.join(options.planner)}: give {_REFERENCE}, which others are compared with, and another "
-            "one that does not know the map"
+            f"--planner {' '.join(options.planner)}: give {REFERENCE}, which others are compared with, and another one "
+            "that does not know the map"
         )
     if not options.family:
         raise InputError("--family: is empty; give a family of maps")
     settings = named_settings(options.settings)
     dataset = gather(options.family, options.split, options.maps, options.most_cells)
-    network = network_for(options.planner, options.network)
+    network = options.open(options.planner)
+    planners = by_name(options.planner, network)
     out = output_folder(options, "compare", inputs=digests(dataset, network=network))
     table, began, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
     # A step limit for each size of map: planners that fail would take that of the largest on all.
@@ -87,28 +89,32 @@ def main(options: Options) -> None:
         runs.append((runner, list(itertools.chain(*starts))))
         limit |= dict.fromkeys((house.name for house in own), runner.step_limit)
     results: list[EpisodeResult] = []
-    for planner in options.planner:
+    for planner, source in planners.items():
         for runner, of_all in runs:
-            results += table.run(runner, of_all, [planner], network)
+            results += table.run(runner, of_all, {planner: source})
     spent = f"{(time.monotonic() - began) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
 
-    standing = standings(results, limit, _REFERENCE)
-    about = [*filter(is_own_part, compared)] or [name for name in compared if name == "dc2g"] or compared
-    first = {planner: leaders(results, limit, standing, planner) for planner in about}
+    families = families_of(results, limit)
     (out / "images").mkdir(exist_ok=True)
-    plot_leaderboard(out / "images" / "leaderboard", standing)
-    (out / "leaderboard.md").write_text(
-        page(
-            standing,
-            first,
-            maps=maps,
-            settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
-            how=f"{len(results):,} episodes of {len(options.planner)} planners, {' + '.join(maps)}: "
-            f"`{command_written().replace(' --resume', '')}`.",
-            figure="images/leaderboard.png",
-        ),
-        encoding="utf-8",
+    plot_leaderboard(out / "images" / "leaderboard", families)
+    run = json.loads((out / RUN_FILE).read_text(encoding="utf-8"))["runs"][0]
+    command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", run["command"])
+    text = page(
+        families,
+        _about(planners),
+        settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
+        how=f"{len(results):,} episodes of {len(planners)} planners in {len(families)} "
+        f"{'family' if len(families) == 1 else 'families'}: `{command}` ({run['began'][:10]}).",
+        figure="images/leaderboard.png",
     )
-    print((out / "leaderboard.md").read_text(encoding="utf-8"))
+    (out / "leaderboard.md").write_text(text, encoding="utf-8")
+    print(text)
     print(f"{len(results):,} episodes; this run took {spent}")
     print_files(out)
+
+
+def _about(planners: Iterable[str]) -> list[str]:
+    """The planners that the page tells about: the user's own, or `dc2g` with each network, or all."""
+    compared = [name for name in planners if name not in (REFERENCE, *PRIVILEGED)]
+    own = [name for name in compared if is_own_part(name)]
+    return own or [name for name in compared if name.partition(" ")[0] == "dc2g"] or compared

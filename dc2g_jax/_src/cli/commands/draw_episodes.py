@@ -13,11 +13,11 @@ from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.episode_figures import plot_trajectories
-from dc2g_jax._src.figures.results_figures import plot_house_strips
+from dc2g_jax._src.figures.results_figures import plot_results
+from dc2g_jax._src.files.rows import read_rows
 from dc2g_jax._src.readers.houses import group_of, open_dataset
 from dc2g_jax._src.readers.starts import published_episodes
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
-from dc2g_jax._src.rollouts.results import read_rows
+from dc2g_jax._src.rollouts.results import EpisodeResult
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +70,7 @@ def main(options: Options) -> None:
         by_ranges.setdefault(_ranges_of(one), []).append(one)
     for ranges, some in by_ranges.items() if compared else ():
         name = f"houses{ranges if len(by_ranges) > 1 else ''}"
-        plot_house_strips(out / name, some, group_by_house, f"{some[0].range}-cell sensing")
+        plot_results(some, out / name, group_by_house, f"{some[0].range}-cell sensing")
     by_start: dict[str, dict[str, EpisodeResult]] = {}
     for one in results:
         if one.house in options.house:

@@ -17,7 +17,6 @@ class Options(MapOptions, OneStartOptions, StepLimitOptions):
 
 def main(options: Options) -> None:
     """Read the map, run the planners, write their files."""
-    options.check_sensing_range()
     terrain = terrain_of(options)
     require_path_to_goal(str(options.map), terrain)
     house = House(options.map.stem, "test", terrain)

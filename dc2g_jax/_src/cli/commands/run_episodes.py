@@ -9,20 +9,21 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests, network_for
-from dc2g_jax._src.cli.episodes import EpisodeTable
-from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests
+from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
+from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import read_starts
-from dc2g_jax._src.rollouts.evaluation import Runner, as_text
+from dc2g_jax._src.rollouts.evaluation import Runner, by_name
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import as_text
 from dc2g_jax._src.rollouts.statistics import summarize
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, ResumeOptions):
+class Options(DatasetOptions, NetworksOptions, StepLimitOptions, OutOptions, ResumeOptions):
     """Run the episodes listed in a CSV file and write `episodes.csv`.
 
     Attributes:
@@ -45,7 +46,7 @@ def main(options: Options) -> None:
     check_planners(options.planner)
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
-    network = network_for(options.planner, options.network)
+    network = options.open(options.planner)
     settings = named_settings(options.settings)
     runner = Runner(dataset, settings, step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
@@ -55,9 +56,9 @@ def main(options: Options) -> None:
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     table = EpisodeTable(out / "episodes.csv")
     summaries = {}
-    for planner in options.planner:
+    for planner, source in by_name(options.planner, network).items():
         # Two columns of each shard, since all results of long runs would not fit in memory.
-        shards = table.shards(runner, starts, [planner], network)
+        shards = table.shards(runner, starts, {planner: source})
         columns = [np.array([(one.extra, one.success) for one in shard]) for shard in shards]
         summaries[planner] = summarize(*np.concatenate(columns).T)
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
