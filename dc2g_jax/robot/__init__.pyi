@@ -1,10 +1,15 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
-from .driving import mppi as mppi
 from .driving.drive import Equipment as Equipment
 from .driving.fleet import drive_all as drive_all, sites_of as sites_of
 from .driving.footprint import Ground as Ground, cell_at as cell_at
-from .driving.mppi import CostOfPose as CostOfPose, MPPISettings as MPPISettings
+from .driving.mppi import (
+    CostOfPose as CostOfPose,
+    MPPISettings as MPPISettings,
+    SampledPlans as SampledPlans,
+    plan_controls as plan_controls,
+    shifted_controls as shifted_controls,
+)
 from .driving.robot import (
     DRIVING as DRIVING,
     SimulatedRobot as SimulatedRobot,

@@ -29,11 +29,13 @@ from dc2g_jax.robot import (
     Frame,
     Intrinsics,
     MPPISettings,
+    SampledPlans,
     SimulatedRobot,
     VehicleLimits,
     VehicleState,
     drive,
-    mppi,
+    plan_controls,
+    shifted_controls,
     wrapped,
 )
 
@@ -140,14 +142,14 @@ def with_mpc(key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Age
 
 def weighed(
     key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent
-) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
+) -> tuple[Float[Array, "h 2"], SampledPlans]:
     """The next plan of IT-MPC, and the sampled plans that it is the weighted mean of.
 
     One of these is not random but descends the costs. Turning around takes a second or two. Random plans hardly ever
     stop for so long, and those that do not stop hit the wall ahead.
     """
     candidate = descent(robot.vehicle, costs, agent)
-    return mppi.plan(key, robot.controls, robot.vehicle, costs, agent.controller, candidate)
+    return plan_controls(key, robot.controls, robot.vehicle, costs, agent.controller, candidate)
 
 
 def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
@@ -230,7 +232,7 @@ def steer(robot: _Robot, agent: Agent) -> tuple[_Robot, Float[Array, "2"]]:
     """
     key, own_key = jax.random.split(robot.key)
     plan = agent.steering(own_key, robot, cost_of_pose(robot, agent), agent)
-    return dataclasses.replace(robot, key=key, controls=mppi.shift(plan), periods=robot.periods + 1), plan[0]
+    return dataclasses.replace(robot, key=key, controls=shifted_controls(plan), periods=robot.periods + 1), plan[0]
 
 
 def cost_at(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Float[Array, ""]:

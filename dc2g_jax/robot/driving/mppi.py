@@ -61,7 +61,7 @@ class SampledPlans:
     weights: Float[Array, "k"]
 
 
-def plan(
+def plan_controls(
     key: Key[Array, ""],
     controls: Float[Array, "h 2"],
     state: VehicleState,
@@ -88,7 +88,7 @@ def plan(
     return improved(controls, noise, state, cost_of_pose, settings)
 
 
-def shift(controls: Float[Array, "h 2"]) -> Float[Array, "h 2"]:
+def shifted_controls(controls: Float[Array, "h 2"]) -> Float[Array, "h 2"]:
     """The plan without its first command, which has been executed; the last command is repeated."""
     return jnp.concatenate([controls[1:], controls[-1:]])
 

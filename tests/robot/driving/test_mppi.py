@@ -122,7 +122,9 @@ def test_noise_has_its_deviation_and_correlation_at_every_time():
 
 
 def test_shift_drops_what_has_been_driven():
-    np.testing.assert_array_equal(mppi.shift(jnp.array([[1.0, 2], [3, 4], [5, 6]])), [[3, 4], [5, 6], [5, 6]])
+    np.testing.assert_array_equal(
+        mppi.shifted_controls(jnp.array([[1.0, 2], [3, 4], [5, 6]])), [[3, 4], [5, 6], [5, 6]]
+    )
 
 
 def test_many_robots_at_once_each_as_alone():
@@ -131,7 +133,7 @@ def test_many_robots_at_once_each_as_alone():
     controls = jnp.stack([jnp.zeros((SMALL.horizon, 2))] * 3)
 
     def plan(key, controls, state):
-        return mppi.plan(key, controls, state, bowl, SMALL)[0]
+        return mppi.plan_controls(key, controls, state, bowl, SMALL)[0]
 
     together = jax.jit(jax.vmap(plan))(keys, controls, states)
     alone = jax.jit(plan)
@@ -169,9 +171,9 @@ def test_a_vehicle_reaches_the_goal_through_a_door():
 
         def step(carry, key):
             state, controls = carry
-            controls, _ = mppi.plan(key, controls, state, cost_of_pose, settings)
+            controls, _ = mppi.plan_controls(key, controls, state, cost_of_pose, settings)
             state = drive(state, controls[0], limits)
-            return (state, mppi.shift(controls)), state
+            return (state, mppi.shifted_controls(controls)), state
 
         first = (state, jnp.zeros((settings.horizon, 2)))
         return jax.lax.scan(step, first, jax.random.split(key, 150))[1], distance
