@@ -156,7 +156,7 @@ def test_ranges_are_optional(tmp_path, dataset):
         ("street,3,4,0,0,", ["range", "0:", "2 to 64"]),
         ("street,3,4,0,65,", ["range", "65:"]),
         ("street,3,4,0,wide,", ["range", "'wide'"]),
-        ("street,3,4,0,5,1", ["expanding_range", "'1'", "2 to 64"]),
+        ("street,3,4,0,5,1", ["expanding_range", "1:", "2 to 64"]),
         ("street,9,0,0", ["column 9, row 0 is 'grass'", "nearest cell to start from lies at column 7, row 2"]),
         ("street,0,0,0", ["column 0, row 0"]),
         ("street,2,0,0", ["column 2, row 0 is a goal already"]),

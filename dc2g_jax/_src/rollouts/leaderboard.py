@@ -122,8 +122,6 @@ Dots are the means of the table, lines their 95 % intervals over maps.
 
 In parentheses: the 95 % interval over maps, paired by start.
 
-## How it was made
-
 {how}
 """
 
