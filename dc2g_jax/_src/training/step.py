@@ -46,9 +46,22 @@ class Supervised(Protocol):
     """
 
     @property
+    def batch_size(self) -> int:
+        """Examples per step."""
+        ...
+
+    @property
     def average_decay(self) -> float:
         """Decay of the running average of the weights; 0 for none."""
         return 0.0
+
+    def first_state(self, hyperparameters: Any) -> TrainingState:
+        """The state before the first step, see `state_of`."""
+        ...
+
+    def learning_rate(self, hyperparameters: Any) -> optax.Schedule:
+        """`step ->` learning rate, from step 0, of a run or of each of several stacked ones."""
+        ...
 
     def optimizer(self, hyperparameters: Any) -> optax.GradientTransformation:
         """The optimizer with its learning rate. Its initial state must not depend on the hyperparameters."""
