@@ -12,7 +12,6 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from dc2g_jax._src.cli.common import check_seed, command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
@@ -133,8 +132,8 @@ def train_translators(
 ) -> None:
     """Train one translator, or several together, continuing an earlier run. Ctrl-C saves a checkpoint.
 
-    Runs go on when their loss is not finite. Writes `network/` to each run's folder, and `log.jsonl` to `out`, with one line per validation and run. The learning
-    rate is constant, so a finished run can be continued with more steps.
+    Runs go on when their loss is not finite. Writes `network/` to each run's folder, and `log.jsonl` to `out`, with one
+    line per validation and run. The learning rate is constant, so a finished run can be continued with more steps.
 
     Args:
       out: folder of all runs.

@@ -1,6 +1,5 @@
 """Figures of training: validation curves for each kind of run, and learning curves of agents."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ def draw_band(axes: Axes, steps: Int[np.ndarray, "n"], curves: Float[np.ndarray,
     axes.fill_between(steps, mean - deviation, mean + deviation, color=line.get_color(), alpha=0.17, linewidth=0)
 
 
-def plot_sweep(sweep: Sweep, path: str | os.PathLike[str]) -> list[Path]:
+def plot_sweep(sweep: Sweep, path: str | Path) -> list[Path]:
     """Draw a sweep: validation errors over training steps, and extra steps of planners with the networks.
 
     Each kind of run has a curve, the mean over its seeds, with a band of one standard deviation. A second panel shows

@@ -58,8 +58,8 @@ class DataConfig:
     Attributes:
       extra_houses: number of procedural houses besides the dataset's training houses; by default a tenth of the steps,
         2000 at most.
-      starts_per_house: episodes in each of the dataset's training houses, for each sensing range and leading planner; by
-        default one for every 500 steps, 12 at most.
+      starts_per_house: episodes in each of the dataset's training houses, for each sensing range and leading planner;
+        by default one for every 500 steps, 12 at most.
       starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: number of moments of each episode that become observation masks.
       ranges: sensing ranges, in cells, of the robots that collect the masks.
@@ -181,7 +181,7 @@ def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[Ho
 def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
     """The dataset's training houses followed by procedural ones of the same size; and the number of the former."""
     own = usable_houses(dataset, "train")
-    return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
+    return _with_drawn(own, "e", config.extra_houses or 0, config.data_seed), len(own)
 
 
 def observation_masks(
@@ -209,7 +209,7 @@ def observation_masks(
     index = {house.name: number for number, house in enumerate(houses)}
     # As many worlds as in other trainings, and the same ranges: one program.
     some = max(_LEAST_WORLDS, 1 << (len(houses) - 1).bit_length())
-    worlds = stack_worlds([*houses, *houses[-1:] * (some - len(houses))])
+    worlds = stack_worlds([*houses, *(some - len(houses)) * [houses[-1]]])
     ranges = tuple(sorted({*config.ranges, *_VALIDATION_RANGES}))
     collected: list[Masks] = []
     for place, sensing_range in enumerate(config.ranges):
@@ -221,7 +221,7 @@ def observation_masks(
             leaders = [planner_with("dc2g", complete_rules(sensing_range), network)]
         for turn, planner in enumerate(leaders):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
-            starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
+            starts = sample_starts(houses[:n_own], config.starts_per_house or 1, seed=seed)
             starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
             collected.append(
                 collect_masks(
@@ -363,9 +363,10 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
     config = DataConfig(ranges=_VALIDATION_RANGES, starts_per_house=8)
     masks = observation_masks(config, houses, len(own), lambda done, total: None)
     data = training_set(houses, len(own), masks)
-    return draw_pairs(
-        jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
+    draw = functools.partial(
+        draw_pairs, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
     )
+    return jit(draw)(jax.random.key(0), data)
 
 
 class Validation:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, Float
@@ -24,7 +25,7 @@ from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
 from dc2g_jax._src.rollouts.devices import fetch, first_copy, in_any_process, mesh_for_batch, replicate, settle
-from dc2g_jax._src.training.step import Supervised, TrainingState, placed, stacked, supervised_step
+from dc2g_jax._src.training.step import Supervised, TrainingState, first_state, placed, stacked, supervised_step
 from dc2g_jax._src.training.tracking import Curve, Image, TrackerName, run_folder
 
 #: Most bytes of a line of the log.
@@ -34,7 +35,7 @@ _LONGEST_LINE = 2**20
 _STEPS_PER_PICTURE = 500
 
 #: Validations of a run, unless it is told how often.
-_VALIDATIONS = 12
+_VALIDATIONS = 6
 
 #: Fields of log lines that are not figures of the validation.
 _NO_FIGURES = ("step", "run", "loss", "steps_left_out")
@@ -67,12 +68,13 @@ class Task:
       training: what is trained.
       data: what batches are drawn from.
       runs: the configuration of each run by its name, a dataclass that is saved, with an attribute `hyperparameters` if
-        the runs have any. A training of one run calls it "", and stops if its loss is not finite; runs with names go on.
+        the runs have any. A training of one run calls it "", and stops if its loss is not finite; runs with names do
+        not.
       steps: total number of optimizer steps.
       validate: `(weights, step) ->` figures of a run.
       save: `(folder, weights, facts)` saves the network of a run after each validation, with facts for its card.
       facts: a JSON object of anything else that must be the same to resume the runs.
-      first_state: `hyperparameters ->` state before the first step; that of the training by default.
+      begin_with: weights to begin with; by default those of the training's first state.
       recording: shows a single run.
       picture: makes a picture of the predictions with a run's weights, for a tracker.
       name: title of the progress bar.
@@ -86,7 +88,7 @@ class Task:
     validate: Callable[[Any, int], Mapping[str, Any]]
     save: Callable[[Path, Any, dict[str, Any]], object]
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    first_state: Callable[[Any], TrainingState] | None = None
+    begin_with: Any = None
     recording: Recording | None = None
     picture: Callable[[Any], Image] | None = None
     name: str = "train"
@@ -98,7 +100,7 @@ class Pauses:
     """When to validate and to save.
 
     Attributes:
-      validate_every: steps between validations; the last step is validated too. By default a twelfth of the steps; 0 for
+      validate_every: steps between validations; the last step is validated too. By default a sixth of the steps; 0 for
         none.
       minutes_per_checkpoint: minutes between checkpoints.
     """
@@ -118,12 +120,16 @@ class Pauses:
 
     def steps_between(self, steps: int) -> int:
         """Steps between the validations of a run of `steps`; 0 for none."""
-        return max(1, steps // _VALIDATIONS) if self.validate_every is None else self.validate_every
+        return -(-steps // _VALIDATIONS) if self.validate_every is None else self.validate_every
 
     def validates(self, step: int, steps: int) -> bool:
         """Whether there is a validation after `step` of `steps`."""
         every = self.steps_between(steps)
         return step == steps or (every > 0 and step > 0 and step % every == 0)
+
+
+#: When a training validates and saves unless it is told.
+PAUSES = Pauses()
 
 
 def fetched_runs(states: Any) -> list[Any]:
@@ -150,14 +156,9 @@ class RunStates:
     """
 
     def __init__(self, task: Task, out: Path):
-        first_state = task.first_state or task.training.first_state
+        begin = functools.partial(_begun, task)
         self._of_runs = [
-            TrainingCheckpoints(
-                run_folder(out, run),
-                config,
-                dict(task.facts),
-                first_state=lambda config: first_state(_hyperparameters(config)),
-            )
+            TrainingCheckpoints(run_folder(out, run), config, task.facts, first_state=begin)
             for run, config in task.runs.items()
         ]
 
@@ -178,6 +179,15 @@ class RunStates:
         """Release the folders."""
         for checkpoints in self._of_runs:
             checkpoints.close()
+
+
+def _begun(task: Task, config: Any) -> TrainingState:
+    """The state of a run before its first step."""
+    state = first_state(_hyperparameters(config), training=task.training)
+    if task.begin_with is None:
+        return state
+    fresh = [jax.tree.map(jnp.array, task.begin_with) for _ in range(2)]  # steps donate their buffers
+    return dataclasses.replace(state, weights=fresh[0], average=None if state.average is None else fresh[1])
 
 
 def _hyperparameters(config: Any) -> Any:
@@ -267,9 +277,7 @@ def _interrupts_noted() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _take_steps(
-    state: Any, count: int, take_step: Callable[[Any], tuple[Any, Array]]
-) -> tuple[Any, list[Array], bool]:
+def _take_steps(state: Any, count: int, take_step: Callable[[Any], tuple[Any, Array]]) -> tuple[Any, list[Array], bool]:
     """Take up to `count` steps. Returns the state, the losses, and whether Ctrl-C was pressed."""
     losses: list[Array] = []
     several = jax.process_count() > 1  # all take the same steps

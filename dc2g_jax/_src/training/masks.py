@@ -1,7 +1,7 @@
 """Observation masks: what robots have seen at moments of rollouts, instead of the hand-drawn masks of Algorithm 1."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import cv2
@@ -18,7 +18,7 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, belief_of
 from dc2g_jax._src.grid.poses import HEADINGS, Pose, PoseSet, every_heading, moved
-from dc2g_jax._src.grid.sensing import Kernel, field_of_view
+from dc2g_jax._src.grid.sensing import Kernel, covered, field_of_view, kernel_runs
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, Ask, AskingPlanner, Assessment, Planner
 from dc2g_jax._src.planning.rules import Rules, nearest_goal
@@ -48,9 +48,7 @@ def _rings(ranges: tuple[int, ...]) -> tuple[Kernel, ...]:
     kernels = [field_of_view(one).offsets for one in ranges]
     less = [((),) * HEADINGS, *kernels[:-1]]
     return tuple(
-        Kernel(
-            radius, tuple(tuple(sorted({*own} - {*inner})) for own, inner in zip(offsets, nearer, strict=True))
-        )
+        Kernel(radius, tuple(tuple(sorted({*own} - {*inner})) for own, inner in zip(offsets, nearer, strict=True)))
         for radius, offsets, nearer in zip(ranges, kernels, less, strict=True)
     )
 
@@ -77,18 +75,18 @@ class View:
         """Those of the largest range."""
         return self.widest.offsets
 
-    def _within(self, of_ring: Callable[[Kernel], Array]) -> Array:
-        """The union over the rings within the range."""
-        rings = [jnp.where(index <= self.number, of_ring(ring), 0) for index, ring in enumerate(_rings(self.ranges))]
-        return functools.reduce(jnp.bitwise_or, rings)
-
     def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
         """See `grid.sensing.Kernel.visible`."""
-        return self._within(lambda ring: ring.visible(pose, opaque, width))
+        radius = self.widest.radius
+        tables = [kernel_runs(Kernel(radius, field_of_view(one).offsets)) for one in self.ranges]
+        runs = jnp.asarray(np.array(tables))[self.number]
+        return covered(pose, radius, runs, opaque.shape[0], opaque.shape[1], width)
 
     def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
         """See `grid.sensing.Kernel.poses_that_see`."""
-        return self._within(lambda ring: ring.poses_that_see(targets, opaque))
+        seeing = [ring.poses_that_see(targets, opaque) for ring in _rings(self.ranges)]
+        within = [jnp.where(index <= self.number, poses, 0) for index, poses in enumerate(seeing)]
+        return functools.reduce(jnp.bitwise_or, within)
 
 
 @struct.dataclass

@@ -82,6 +82,12 @@ def state_of(weights: Any, optimizer: optax.GradientTransformation, average_deca
     return TrainingState(step=jnp.int32(0), weights=weights, average=average, optimizer=optimizer.init(weights))
 
 
+@functools.partial(jit, static_argnames="training")
+def first_state(hyperparameters: Any, *, training: Supervised) -> TrainingState:
+    """The state of a run before its first step."""
+    return training.first_state(hyperparameters)
+
+
 def placed(state: TrainingState, mesh: Mesh) -> TrainingState:
     """The state on the devices of a mesh: whole on each, or the stacked runs divided among them."""
     return jax.device_put(state, NamedSharding(mesh, PartitionSpec(RUNS) if state.step.ndim else PartitionSpec()))

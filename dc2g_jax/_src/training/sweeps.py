@@ -26,8 +26,9 @@ from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.evaluation import evaluate
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, open_training_set
-from dc2g_jax._src.training.loop import Log, Pauses
+from dc2g_jax._src.training.loop import PAUSES, Log, Pauses
 from dc2g_jax._src.training.losses import LOSSES, Loss, checked_loss, losses_as_text, parse_losses
+from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.tracking import TrackerName
 from dc2g_jax._src.training.train import (
     PAIRS,
@@ -120,7 +121,8 @@ def named_losses(losses: LossSources) -> tuple[dict[str, tuple[tuple[str, float]
     """
     sums: dict[str, tuple[tuple[str, float], ...]] = {}
     own: dict[str, Loss] = {}
-    given: list[Any] = list(losses.items()) if isinstance(losses, Mapping) else [losses] if isinstance(losses, str) else list(losses)  # fmt: skip
+    losses = [losses] if isinstance(losses, str) else losses
+    given: list[Any] = [*(losses.items() if isinstance(losses, Mapping) else losses)]
     for source in given:
         name, loss = source if isinstance(source, tuple) else (source, source)
         if callable(name):
@@ -213,7 +215,7 @@ def check_sweep(
     widths: Sequence[Sequence[int]] | None = None,
     config: TrainingConfig = SWEEP,
     data: DataConfig | None = None,
-    pauses: Pauses = Pauses(),
+    pauses: Pauses = PAUSES,
     split: str | None = "val",
     runs_at_once: int = 64,
     track: TrackerName | None = None,
@@ -252,7 +254,7 @@ def sweep(
     widths: Sequence[Sequence[int]] | None = None,
     config: TrainingConfig = SWEEP,
     data: DataConfig | None = None,
-    pauses: Pauses = Pauses(),
+    pauses: Pauses = PAUSES,
     split: str | None = "val",
     runs_at_once: int = 64,
     track: TrackerName | None = None,
@@ -305,12 +307,13 @@ def sweep(
     opened = functools.cache(lambda: (pairs_to_validate(plan), open_training_set(out, plan.dataset, plan.data)))
     networks: dict[str, NetworkCostToGo] = {}
     for turn in turns:
-        found = [finished_network(out, turn, run) for run in turn.runs]
+        found: Sequence[NetworkCostToGo | None] = [finished_network(out, turn, run) for run in turn.runs]
         if None in found:
             pairs, training_set = opened()
+            validate = functools.partial(_error_now, pairs)
             found = train_runs(
-                out, turn, training_set, lambda network, step, pairs=pairs: {"error": error_on(pairs, network)},
-                card=card or {}, pauses=pauses, track=track, picture=picture, name=f"{len(turn.runs)} runs",
+                out, turn, training_set, validate, card=card or {}, pauses=pauses, track=track, picture=picture,
+                name=f"{len(turn.runs)} runs",
             )  # fmt: skip
         networks |= {run: network for run, network in zip(turn.runs, found, strict=True) if network is not None}
     extra = {} if split is None else _episodes(out, plan.dataset, split, networks)
@@ -318,6 +321,10 @@ def sweep(
     rows = sorted(result.table, key=lambda row: (row["steps_left_out"] > 0, _quality(row)))
     write_table(out / "results.csv", list(rows[0]), (list(row.values()) for row in rows))
     return result
+
+
+def _error_now(pairs: Pair, network: NetworkCostToGo, step: int) -> dict[str, float]:
+    return {"error": error_on(pairs, network)}
 
 
 def _episodes(

@@ -1,14 +1,12 @@
 """Train a network from start to end: collect observation masks, train, validate, save, and evaluate."""
 
 import dataclasses
-import functools
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.estimation.checkpoints import CARD, keep_config, network_in_folder, save_network
@@ -30,10 +28,9 @@ from dc2g_jax._src.training.cost_to_go_data import (
     open_training_set,
     validation_pairs,
 )
-from dc2g_jax._src.training.loop import Pauses, Recording, Task, fit
+from dc2g_jax._src.training.loop import PAUSES, Pauses, Recording, Task, fit
 from dc2g_jax._src.training.losses import Loss, losses_as_text, named_loss
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
-from dc2g_jax._src.training.step import TrainingState
 from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
 #: Steps between episodes in validation houses, and number of validation pairs.
@@ -180,8 +177,7 @@ def train_runs(
         made = {
             "data": f"{plan.dataset.name}, training split, and {plan.data.extra_houses} procedural houses (seed "
             f"{plan.data.data_seed})",
-            "masks": "rollouts of exploring robots with sensing ranges "
-            f"{', '.join(map(str, plan.data.ranges))} cells",
+            "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, plan.data.ranges))} cells",
             "target": "4-connected cost-to-go in cells",
             "loss": losses_as_text([(name, weight) for name, weight in config.losses if weight]),
             "learning_rate": config.learning_rate,
@@ -252,7 +248,7 @@ def check_training(
     *,
     config: TrainingConfig | None = None,
     data: DataConfig | None = None,
-    pauses: Pauses = Pauses(),
+    pauses: Pauses = PAUSES,
     episodes_every: int = EPISODES_EVERY,
     after: str | os.PathLike[str] | None = None,
     split: str | None = "val",
@@ -283,7 +279,7 @@ def train(
     *,
     config: TrainingConfig | None = None,
     data: DataConfig | None = None,
-    pauses: Pauses = Pauses(),
+    pauses: Pauses = PAUSES,
     episodes_every: int = EPISODES_EVERY,
     after: str | os.PathLike[str] | None = None,
     split: str | None = "val",
@@ -308,8 +304,8 @@ def train(
         `open_dataset`.
       config: network, losses and steps. The side of its architecture becomes that of the dataset's maps.
       data: houses and masks; by default fewer for fewer steps.
-      pauses: when to validate, on pairs of validation houses, and to save; by default at least twelve times, and every
-        two minutes.
+      pauses: when to validate, on pairs of validation houses, and to save; by default six times, and every two
+        minutes.
       episodes_every: steps between validations that also run episodes in validation houses; 0 for none.
       after: folder of a trained network, or hf://owner/name, to begin with. Masks of robots that it leads are added to
         the others (DAgger).
@@ -347,16 +343,8 @@ def train(
         (network,) = train_runs(
             out, plan, open_training_set(out, dataset, plan.data, begin_with), validate,
             card={**({"after": before} if before else {}), **(card or {})}, pauses=pauses, track=track,
-            picture=picture, recording=recording,
-            first_state=functools.partial(_begun, plan=plan, network=begin_with) if begin_with else None,
+            picture=picture, recording=recording, begin_with=None if begin_with is None else begin_with.weights,
         )  # fmt: skip
     return Trained(
         network, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=network)
     )
-
-
-def _begun(hyperparameters: Any, plan: Plan, network: NetworkCostToGo) -> TrainingState:
-    """The state before the first step, with the weights of a network."""
-    state = CostToGoTraining(plan.recipe.recipe, plan.data.draw_batch).first_state(hyperparameters)
-    fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
-    return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
