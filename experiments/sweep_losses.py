@@ -1,4 +1,4 @@
-"""Compare the losses of the cost-to-go network, three seeds each: `python -m experiments.sweep_losses --out outputs/losses`.
+"""Compare the losses of the cost-to-go network, three seeds each: `python -m experiments.sweep_losses --out DIR`.
 
 It is `dc2g sweep` with defaults for a trial. After an interruption, --resume continues where it stopped.
 """
