@@ -5,9 +5,12 @@ from ._src.planning.named import make_planner as make_planner, PLANNERS as PLANN
 from ._src.rollouts.evaluation import evaluate as evaluate
 from ._src.rollouts.results import Results as Results, EpisodeResult as EpisodeResult
 from ._src.training.train import train as train
+from ._src.training.sweeps import sweep as sweep
+from ._src.training.sweeps import Sweep as Sweep
 from ._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from ._src.training.cost_to_go_data import DataConfig as DataConfig
 from ._src.figures.results_figures import plot_results as plot_results
+from ._src.figures.training_figures import plot_sweep as plot_sweep
 from ._src.planning.online import OnlinePlanner as OnlinePlanner
 from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner

@@ -12,20 +12,17 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null, output_folder, print_files
-from dc2g_jax._src.errors import InputError, check_seed
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, write_network
+from dc2g_jax._src.errors import InputError, check_number, check_seed
+from dc2g_jax._src.estimation.checkpoints import newest_step, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, mesh_of, platform, replicate, require_memory
-from dc2g_jax._src.training.cost_to_go import check_numbers
-from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, fit
-from dc2g_jax._src.training.step import TrainingState, placed, stacked, supervised_step
-from dc2g_jax._src.training.sweeps import StackedCheckpoints, fetched_runs, in_turns
+from dc2g_jax._src.rollouts.devices import mesh_of, platform, require_memory
+from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
+from dc2g_jax._src.training.sweeps import in_turns
 from dc2g_jax._src.training.tracking import TrackerName, run_folder
 from experiments.translator.evaluation import metrics_over_pairs
 from experiments.translator.figures import plot_training
@@ -35,8 +32,6 @@ from experiments.translator.training import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
     TranslatorTraining,
-    first_state,
-    run_key,
 )
 
 #: Steps between progress updates. A step takes seconds on a CPU.
@@ -74,7 +69,7 @@ class TranslationOptions(Pauses):
     size: int = TranslatorArchitecture.size
     base_filters: int = TranslatorArchitecture.base_filters
     compute_dtype: Literal["float32", "bfloat16"] = "float32"
-    validate_every: int = 500
+    validate_every: int | None = 500
 
     def config(self, loss: str) -> TranslatorConfig:
         """The training configuration.
@@ -82,10 +77,9 @@ class TranslationOptions(Pauses):
         Raises:
           InputError: an option is invalid.
         """
-        check_numbers(self.learning_rate, steps=self.steps)
+        check_number("--steps", self.steps, whole=True, least=1)
         self.check_pauses()
-        if not 0 <= self.whole_share <= 1:
-            raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
+        check_number("--whole-share", self.whole_share, least=0, most=1)
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
         images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
         require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
@@ -137,8 +131,8 @@ def train_translators(
 ) -> None:
     """Train one translator, or several together, continuing an earlier run. Ctrl-C saves a checkpoint.
 
-    Writes `network/` to each run's folder, and `log.jsonl` to `out`, with one line per validation and run. The learning
-    rate is constant, so a finished run can be continued with more steps.
+    Runs go on when their loss is not finite. Writes `network/` to each run's folder, and `log.jsonl` to `out`, with one
+    line per validation and run. The learning rate is constant, so a finished run can be continued with more steps.
 
     Args:
       out: folder of all runs.
@@ -150,76 +144,59 @@ def train_translators(
       track: tracker to send the curves to.
 
     Raises:
-      InputError: a folder holds a run with other options, or the loss of a single run is not finite.
+      InputError: a folder holds a run with other options.
     """
-    folders = [run_folder(out, run) for run in seeds]
-    together, mesh = len(seeds) > 1, mesh_for_batch(config.batch_size, len(seeds))
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
         whole_share=options.whole_share,
         augment=not options.no_augment,
     )
-    training, log = TranslatorTraining(config, draw), Log(out)
+    configs = {run: dataclasses.replace(config, seed=seed) for run, seed in seeds.items()}
+    card = {
+        "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
+        f"{100 * options.whole_share:g} % of pairs whole"
+        + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
+        "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
+        "loss": config.loss,
+        "command": command_written(),
+        "commit": commit(),
+    }
 
-    def whole(each: list[Any]) -> Any:
-        return stacked(each) if together else each[0]
+    def network_of(weights: Any) -> TranslatorCostToGo:
+        return TranslatorCostToGo(weights["generator"], config.architecture)
 
-    pairs, keys = replicate((data.train, whole([run_key(seed) for seed in seeds.values()])), mesh)
+    def validate(weights: Any, step: int) -> dict[str, float | None]:
+        if not options.validate_every:
+            return {}
+        weights = {"generator": jax.tree.map(jnp.asarray, weights["generator"])}
+        metrics = metrics_over_pairs(network_of(weights), data.validation)
+        return {name: number_or_null(value) for name, value in metrics.items()}
 
-    def generators(state: TrainingState) -> list[Any]:
-        weights = state.weights["generator"]
-        if not together:
-            return [first_copy(weights)]
-        return jax.tree.map(jnp.asarray, fetched_runs(weights))
+    def save(folder: Path, weights: Any, facts: dict[str, Any]) -> None:
+        seed = next(seed for run, seed in seeds.items() if run_folder(out, run) == folder)
+        write_network(
+            folder / "network", weights["generator"], config.architecture, TRANSLATOR, {**card, "seed": seed, **facts}
+        )
 
-    def validate(state: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
-        lines = []
-        found = [None] * len(seeds) if losses is None else np.atleast_1d(losses).tolist()
-        for (run, seed), folder, weights, loss in zip(seeds.items(), folders, generators(state), found, strict=True):
-            network = TranslatorCostToGo(weights=weights, architecture=config.architecture)
-            card = {
-                "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
-                f"{100 * options.whole_share:g} % of pairs whole"
-                + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
-                "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
-                "loss": config.loss,
-                "command": command_written(),
-                "commit": commit(),
-                "seed": seed,
-                "steps": step,
-            }
-            write_network(folder / "network", weights, config.architecture, TRANSLATOR, card)
-            if options.validate_every:
-                metrics = metrics_over_pairs(network, data.validation)
-                known = {name: number_or_null(value) for name, value in metrics.items()}
-                mean = None if loss is None else number_or_null(loss)
-                lines.append({"run": run, "step": step, "train_l1": mean, **known})
-        return lines
-
+    options_of_data = ("masks", "train_masks", "whole_share", "no_augment")
     task = Task(
+        training=TranslatorTraining(config, draw),
+        data=data.train,
+        runs=configs,
         steps=options.steps,
-        step=lambda state: supervised_step(state, pairs, keys, training=training, mesh=mesh),
         validate=validate,
-        validated=set.intersection(*(set(log.by_step(run)) for run in seeds)),
-        place=partial(placed, mesh=mesh),
+        save=save,
+        facts={"dataset": dataset.name, **{name: getattr(options, name) for name in options_of_data}},
         name=", ".join(seeds),
         steps_per_look=_STEPS_PER_LOOK,
-        runs=tuple(seeds),
-        learning_rate=lambda step: config.learning_rate,
     )
-    options_of_data = ("masks", "train_masks", "whole_share", "no_augment")
-    facts = {"dataset": dataset.name, **{name: getattr(options, name) for name in options_of_data}}
-    each = [
-        TrainingCheckpoints(folder, config, {"seed": seed, **facts}, first_state=partial(first_state, seed=seed))
-        for folder, seed in zip(folders, seeds.values(), strict=True)
-    ]
-    fit(task, out, StackedCheckpoints(each) if together else each[0], options, track)
+    fit(task, out, options, track)
 
 
 def main(options: Options) -> None:
     """Train all runs, the seeds of a loss together on an accelerator, then plot them."""
-    if not options.losses or not options.seeds or options.window < 1 or options.validate_every < 1:
+    if not options.losses or not options.seeds or options.window < 1 or not options.validate_every:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
     for seed in options.seeds:
         check_seed(seed, "--seeds")

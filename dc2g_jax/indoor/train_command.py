@@ -7,7 +7,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 import tyro
@@ -22,7 +22,7 @@ from dc2g_jax.commands import (
     require_positive,
 )
 from dc2g_jax.datasets import PROCEDURAL
-from dc2g_jax.estimation import CARD, TrainingCheckpoints, read_network, write_network
+from dc2g_jax.estimation import CARD, read_network, write_network
 from dc2g_jax.files import tree_sha256
 from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect, random_views
@@ -42,12 +42,11 @@ from dc2g_jax.indoor.learning.training import (
     Recipe,
     encoder_task,
     figures,
-    first_state,
     validation_samples,
 )
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
-from dc2g_jax.runtime import InputError, first_copy, mesh_for_batch, replicate, require_memory
-from dc2g_jax.training import Log, Losses, Pauses, Task, TrainingState, fit, kept_arrays, placed, supervised_step
+from dc2g_jax.runtime import InputError, require_memory
+from dc2g_jax.training import Log, Pauses, Task, fit, kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -107,7 +106,7 @@ class Options(TrainingOptions, Pauses, _CollectionOptions):
     steps: int = CostMapConfig.steps
     batch_size: int = CostMapConfig.batch_size
     seed: int = 0
-    validate_every: int = 1000
+    validate_every: int | None = 1000
     validation_samples: int = 512
     minutes_per_checkpoint: float = 2.0
 
@@ -144,17 +143,9 @@ def _open_encoder(options: Options, houses: list[IndoorHouse]) -> TrainedEncoder
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
     )
-    made = {"command": command_written(), "commit": commit()}
     training = EncoderTraining(EncoderArchitecture(), options.encoder_steps, seed=options.seed)
-    task = encoder_task(
-        training,
-        views,
-        save=lambda encoder, losses: write_network(
-            folder, encoder.weights, encoder.architecture, ENCODER, {"losses": losses, **made}
-        ),
-    )
-    checkpoints = TrainingCheckpoints(folder, training, first_state=EncoderTraining.first_state)
-    fit(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)
+    task = encoder_task(training, views, {"command": command_written(), "commit": commit()})
+    fit(task, folder, Pauses(0, options.minutes_per_checkpoint), options.track)
     # Load the half-precision weights that will be used.
     return load_encoder(folder)
 
@@ -172,37 +163,27 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses
     return JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
 
-def training_task(
-    options: Options, config: CostMapConfig, data: JourneySet, validation: JourneySet
-) -> Task[TrainingState]:
-    """The training task. Each validation saves the network."""
+def training_task(options: Options, config: CostMapConfig, data: JourneySet, validation: JourneySet) -> Task:
+    """The training task."""
     batches = validation_samples(validation, config, options.validation_samples)
-    mesh = mesh_for_batch(config.batch_size)
-    data, rate = replicate(data, mesh), config.learning_rates()
-
-    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        weights = first_copy(state.trained)
-        latest = None if loss is None else float(loss)
-        found = {"step": step, "training_loss": latest, **figures(weights, batches, config)}
-        card: dict[str, Any] = {
-            "houses": options.dataset,
-            "cell_size": IndoorMapSettings.cell_size,
-            "recipe": dataclasses.asdict(config.recipe),
-            "loss": config.loss,
-            "command": command_written(),
-            "commit": commit(),
-            "validation": found,
-        }
-        write_network(options.out, weights, config.architecture, COST_MAPS, card)
-        return [found]
-
+    card = {
+        "houses": options.dataset,
+        "cell_size": IndoorMapSettings.cell_size,
+        "recipe": dataclasses.asdict(config.recipe),
+        "loss": config.loss,
+        "command": command_written(),
+        "commit": commit(),
+    }
     return Task(
+        training=config,
+        data=data,
+        runs={"": config},
         steps=config.steps,
-        step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
-        validate=validate,
-        validated=Log(options.out).by_step(),
-        place=functools.partial(placed, mesh=mesh),
-        learning_rate=lambda step: rate(step - 1),
+        validate=lambda weights, step: figures(weights, batches, config),
+        save=lambda folder, weights, facts: write_network(
+            folder, weights, config.architecture, COST_MAPS, {**card, **facts}
+        ),
+        facts={name: str(getattr(options, name)) for name in ("dataset", "count", "collection")},
     )
 
 
@@ -235,7 +216,5 @@ def main(options: Options) -> None:
     validation = kept(others, functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
     config = options.training(encoder.architecture.features)
-    facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
-    checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
-    fit(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)
+    fit(training_task(options, config, data, validation), options.out, options, options.track)
     print(f"Trained: {options.out}")

@@ -28,7 +28,7 @@ from dc2g_jax.indoor.search.guides import agent_with
 from dc2g_jax.indoor.search.searches import TIME_LIMIT, sample_episodes, search_all
 from experiments.reproduce_fig5 import TranslationOptions
 from experiments.translator.pairs import draw_image_pairs, image_set
-from experiments.translator.training import TranslatorTraining, first_state, run_key
+from experiments.translator.training import TranslatorTraining
 
 from .bench import SENSING_RANGE, Bench, own
 from .planners import PLANNER_UNIT, with_episodes
@@ -145,12 +145,12 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     )
     mesh = mesh_for_batch(config.batch_size)
     training = TranslatorTraining(config, draw)
-    state, pairs = replicate((first_state(config, seed=0), data), mesh)
+    state, pairs = replicate((training.first_state(config.hyperparameters), data), mesh)
 
     def train() -> jax.Array:
         nonlocal state
         for _ in range(steps):
-            state, loss = supervised_step(state, pairs, run_key(0), training=training, mesh=mesh)
+            state, loss = supervised_step(state, pairs, config.hyperparameters, training=training, mesh=mesh)
         return loss
 
     measured = bench.measure(train)

@@ -19,7 +19,6 @@ from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.devices import AXIS, RUNS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
-from dc2g_jax._src.training import cost_to_go
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.pairs import TrainingSet
@@ -133,7 +132,8 @@ def training_program(
       config: of each run; the default where `None`.
       cells: side of the houses.
     """
-    config, worlds = config or TrainingConfig(), _HOUSES + DataConfig.extra_houses
+    config = config or TrainingConfig()
+    worlds = _HOUSES + (DataConfig().for_steps(TrainingConfig.steps).extra_houses or 0)
     groups = math.gcd(runs, devices.size)
     mesh = Mesh(devices.devices.reshape(groups, -1), (RUNS, AXIS))
     data = TrainingSet(
@@ -143,9 +143,9 @@ def training_program(
         mask_world=_array(_MASKS),
         n_own=_array(),
     )
-    one = jax.eval_shape(lambda: (cost_to_go.first_state(config), config.hyperparameters))
-    state, numbers = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
     training = CostToGoTraining(config.recipe, DataConfig().draw_batch)
+    one = jax.eval_shape(lambda: (training.first_state(config.hyperparameters), config.hyperparameters))
+    state, numbers = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
     return _step_program(part, training, data, state, numbers, mesh, runs if runs > 1 else config.batch_size)
 
 
@@ -163,10 +163,10 @@ def _translator_step(mesh: Mesh) -> HotProgram:
     draw = functools.partial(
         draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
     )
-    state = jax.eval_shape(functools.partial(translator.first_state, config, seed=0))
-    key = jax.eval_shape(functools.partial(translator.run_key, 0))
     training = translator.TranslatorTraining(config, draw)
-    return _step_program("learn", training, data, state, key, mesh, config.batch_size)
+    seed = _array(dtype=jnp.uint32)
+    state = jax.eval_shape(training.first_state, seed)
+    return _step_program("learn", training, data, state, seed, mesh, config.batch_size)
 
 
 def _scene(houses: int, side: int) -> Scene:

@@ -12,11 +12,10 @@ from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
-from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig, first_state
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, stacked, supervised_step
-from dc2g_jax._src.training.sweeps import stacked_hyperparameters
 
 from .bench import Bench, own
 from .rows import Row
@@ -72,10 +71,10 @@ def training_rows(
         return losses
 
     def firsts() -> list[TrainingState]:
-        return [first_state(each) for each in configs]
+        return [training.first_state(each.hyperparameters) for each in configs]
 
     begun: dict[str, Callable[[], tuple[list[TrainingState], list[Hyperparameters]]]] = {
-        "together": lambda: ([stacked(firsts())], [stacked_hyperparameters(configs)]),
+        "together": lambda: ([stacked(firsts())], [stacked([each.hyperparameters for each in configs])]),
         "one after another": lambda: (firsts(), [each.hyperparameters for each in configs]),
     }
     for way in ways:

@@ -37,7 +37,7 @@ from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, drawn_houses, validation_pairs
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.pairs import Pair
-from dc2g_jax._src.training.train import Watching, train
+from dc2g_jax._src.training.train import train
 
 from .unknown_dimensions import SEEDS
 
@@ -201,20 +201,17 @@ class Judge:
 
 
 class Curve:
-    """Watches a training: the skill on validation pairs as the network learns, see `training.train.Recording`."""
+    """Watches a training: the skill on validation pairs as the network learns, see `training.loop.Recording`."""
 
-    def __init__(self, judge: Judge, label: str):
-        self.judge, self.label, self.skills = judge, label, dict[int, float]()
+    def __init__(self, judge: Judge, label: str, architecture: Architecture):
+        self.judge, self.label, self.architecture, self.skills = judge, label, architecture, dict[int, float]()
 
-    def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
+    def look(self, step: int, figures: Mapping[str, float], weights: Any) -> None:
         """Note the skill."""
         if step % _STEPS_A_LOOK == 0:
-            self.skills[step] = self.judge.skill(self.label, network)
+            self.skills[step] = self.judge.skill(self.label, NetworkCostToGo(weights, self.architecture))
 
-    def predict(self, step: int, network: NetworkCostToGo) -> None:
-        """Nothing to show."""
-
-    def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
+    def validate(self, step: int, figures: Mapping[str, float], weights: Any) -> None:
         """Nothing to show."""
 
     def close(self) -> None:
@@ -258,7 +255,7 @@ def main(options: Options) -> None:
                 shutil.copyfile(masks, folder / masks.name)
             architecture = Architecture(quantiles=(0.5,)) if place else Architecture()
             losses = (("experiments.studies.goal_location:place_loss", 1.0),) if place else TrainingConfig.losses
-            curve = Curve(judge, label)
+            curve = Curve(judge, label, architecture)
             network = train(
                 folder,
                 dataset,
@@ -266,7 +263,7 @@ def main(options: Options) -> None:
                 data=LabeledData(extra_houses=options.extra_houses, label=label),
                 pauses=Pauses(validate_every=0, minutes_per_checkpoint=1.0),
                 split=None,
-                begin=functools.partial(lambda curve, *_: Watching(curve), curve),
+                recording=curve,
             ).network
             if not masks.exists():
                 shutil.copyfile(folder / masks.name, masks)

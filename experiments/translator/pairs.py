@@ -19,7 +19,7 @@ from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
-from dc2g_jax._src.training.masks import LEADERS, Masks, by_house, collect_masks, leading_planners
+from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
 from experiments.translator.drawn_masks import drawn_masks
 from experiments.translator.images import cost_to_go_image, largest_cost, semantic_image
 
@@ -160,7 +160,8 @@ def _rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Mas
     worlds = stack_worlds(houses)
     # Twice as many as needed, since moments with a reachable goal do not count.
     starts = sample_starts(houses, -(-2 * per_house // (_MOMENTS * LEADERS)), seed=seed)
-    planners = leading_planners(rules, *houses[0].terrain.shape, seed=seed)
+    view = View(jnp.int32(0), (rules.sensing.radius,))
+    planners = leading_planners(view, *houses[0].terrain.shape, seed=seed)
     episodes = episodes_from(starts, index)
     collect = partial(collect_masks, sensing=rules.sensing, per_episode=_MOMENTS, seed=seed)
     masks = by_house([collect(planner, worlds, episodes) for planner in planners])

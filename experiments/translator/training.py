@@ -7,12 +7,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, UInt32
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_name, check_number
 from dc2g_jax._src.estimation.weights import with_weights
-from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 from experiments.translator.network import Discriminator, Generator, TranslatorArchitecture, init_weights
 from experiments.translator.pairs import ImagePair
@@ -34,6 +34,7 @@ class TranslatorConfig:
       batch_size: pairs per step.
       learning_rate: learning rate of Adam, for both networks.
       beta1: beta1 of Adam.
+      seed: seed of weights, order of the pairs and dropout.
 
     Raises:
       InputError: the loss is unknown, or a number is invalid.
@@ -44,39 +45,26 @@ class TranslatorConfig:
     batch_size: int = 1
     learning_rate: float = 2e-4
     beta1: float = 0.5
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.loss not in TRANSLATOR_LOSSES:
-            raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(TRANSLATOR_LOSSES)}")
-        check_numbers(self.learning_rate, batch_size=self.batch_size)
+        check_name("loss", self.loss, TRANSLATOR_LOSSES)
+        check_number("learning rate", float(np.float32(self.learning_rate)), above=0)
+        check_number("batch size", self.batch_size, whole=True, least=1)
+
+    @property
+    def hyperparameters(self) -> UInt32[Array, ""]:
+        """The seed: runs that only differ in it can be trained together."""
+        return jnp.uint32(self.seed)
 
 
 #: `(key of the run, step, data) -> batch`
 _DrawImages = Callable[[Array, Array, Any], ImagePair]
 
 
-def first_state(config: TranslatorConfig, *, seed: int) -> TrainingState:
-    """The state before the first step; its weights are those of `generator` and `discriminator`.
-
-    Args:
-      config: training configuration.
-      seed: seed of weights, order of the pairs and dropout.
-    """
-    generator_key, discriminator_key, _ = jax.random.split(jax.random.key(seed), 3)
-    weights = {
-        "generator": init_weights(Generator, config.architecture, generator_key),
-        "discriminator": init_weights(Discriminator, config.architecture, discriminator_key),
-    }
-    return state_of(weights, _optimizer(config))
-
-
-def run_key(seed: int) -> UInt32[Array, "2"]:
-    """The key of a run, as data, for the order of the pairs and dropout: the hyperparameter of `TranslatorTraining`."""
-    return jax.random.key_data(jax.random.split(jax.random.key(seed), 3)[2])
-
-
-def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
-    return optax.adam(config.learning_rate, b1=config.beta1)
+def _keys(seed: UInt32[Array, ""]) -> Array:
+    """Keys of the generator's and the discriminator's weights, and of the pairs and dropout."""
+    return jax.random.split(jax.random.key(seed), 3)
 
 
 def discriminator_loss(
@@ -109,30 +97,50 @@ def generator_loss(
 class TranslatorTraining(Supervised):
     """Training of both networks of a translator: in a step first the discriminator, then the generator.
 
+    The hyperparameter of a run is its seed.
+
     Attributes:
-      config: training configuration.
+      config: training configuration, whose seed does not matter.
       draw_batch: draws pairs.
     """
 
     config: TranslatorConfig
     draw_batch: _DrawImages
 
-    def optimizer(self, hyperparameters: Any) -> optax.GradientTransformation:
-        """Adam, for both networks. A discriminator that the loss does not use has no gradient and keeps its weights."""
-        return _optimizer(self.config)
+    @property
+    def batch_size(self) -> int:
+        """That of the configuration."""
+        return self.config.batch_size
 
-    def draw(self, data: Any, step: Int[Array, ""], hyperparameters: UInt32[Array, "2"]) -> ImagePair:
-        """The pairs of a step, which only depend on the key of the run and the step."""
-        batch_key, _ = jax.random.split(jax.random.wrap_key_data(hyperparameters))
+    def first_state(self, hyperparameters: UInt32[Array, ""]) -> TrainingState:
+        """The state before the first step; its weights are those of `generator` and `discriminator`."""
+        generator_key, discriminator_key, _ = _keys(hyperparameters)
+        weights = {
+            "generator": init_weights(Generator, self.config.architecture, generator_key),
+            "discriminator": init_weights(Discriminator, self.config.architecture, discriminator_key),
+        }
+        return state_of(weights, self.optimizer(hyperparameters))
+
+    def learning_rate(self, hyperparameters: UInt32[Array, "*runs"]) -> optax.Schedule:
+        """A constant."""
+        return optax.constant_schedule(self.config.learning_rate)
+
+    def optimizer(self, hyperparameters: UInt32[Array, ""]) -> optax.GradientTransformation:
+        """Adam, for both networks. A discriminator that the loss does not use has no gradient and keeps its weights."""
+        return optax.adam(self.config.learning_rate, b1=self.config.beta1)
+
+    def draw(self, data: Any, step: Int[Array, ""], hyperparameters: UInt32[Array, ""]) -> ImagePair:
+        """The pairs of a step, which only depend on the seed and the step."""
+        batch_key, _ = jax.random.split(_keys(hyperparameters)[2])
         return self.draw_batch(batch_key, step, data)
 
     def gradient(
-        self, state: TrainingState, batch: ImagePair, hyperparameters: UInt32[Array, "2"]
+        self, state: TrainingState, batch: ImagePair, hyperparameters: UInt32[Array, ""]
     ) -> tuple[Float[Array, ""], Any]:
         """The mean absolute error of the generated images, and the gradients of the losses of both networks."""
         config, architecture = self.config, self.config.architecture
         generator, discriminator = state.weights["generator"], state.weights["discriminator"]
-        _, dropout_key = jax.random.split(jax.random.wrap_key_data(hyperparameters))
+        _, dropout_key = jax.random.split(_keys(hyperparameters)[2])
         dropout_key = jax.random.fold_in(dropout_key, state.step)
         generated, backward = jax.vjp(
             lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), generator

@@ -360,11 +360,13 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     assert "begun with --seed 0, now it is 7" in changed
     facts = json.loads((out / "run.json").read_text())
     assert facts["inputs"] == {"dataset": load_dataset(few_houses).sha256}
+    (out / "network" / "network.json").rename(out / "card")
     masks = read_safetensors(out / "masks.safetensors")
     write_safetensors(out / "masks.safetensors", masks | {"boards": masks["boards"][:, :, 1:]})
     other = complaint(run(*options, "--resume"))
     assert "masks.safetensors" in other
     assert "uint32[2, 49]" in other
+    (out / "card").rename(out / "network" / "network.json")
     result = run(
         "reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--network", out / "network",
         "--out", tmp_path / "figure",
@@ -378,7 +380,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
         return [
             "dc2g sweep", "--dataset", few_houses, "--out", out, "--extra-houses", 0, "--starts-per-house", 1,
             "--ranges", 6, "--steps", 300, "--batch-size", 4, "--widths", "4,4,4,4", "--losses", "l1", "l2",
-            "--seeds", 0, "--validate-every", 100, "--no-episodes", "--minutes-per-checkpoint", 0.01,
+            "--seeds", 0, "--validate-every", 100, "--split", "None", "--minutes-per-checkpoint", 0.01,
         ]  # fmt: skip
 
     whole = run(*options(tmp_path / "whole"))

@@ -123,7 +123,7 @@ def test_a_sweep(houses, tmp_path):
         return [
             "dc2g sweep", "--dataset", houses, "--out", tmp_path / out, "--extra-houses", 0, "--starts-per-house", 1,
             "--masks-per-episode", 2, "--ranges", 6, "--steps", 4, "--batch-size", 4, "--widths", "2,2,2,2",
-            "--losses", "l1", "l2", "--seeds", *range(RUNS // 2), "--validate-every", 0, "--no-episodes",
+            "--losses", "l1", "l2", "--seeds", *range(RUNS // 2), "--validate-every", 0, "--split", "None",
             "--runs-at-once", 20,
         ]  # fmt: skip
 

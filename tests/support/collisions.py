@@ -117,9 +117,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.training import cost_to_go
     from dc2g_jax._src.training.masks import collect_masks
     from dc2g_jax._src.training.step import stacked, supervised_step
-    from dc2g_jax._src.training.sweeps import stacked_hyperparameters
     from dc2g_jax.gymnasium import environment as gymnasium_env
-    from dc2g_jax.indoor.learning import training as indoor_training
     from dc2g_jax.indoor.search import guides, searches
     from experiments.benchmarks import workload
     from experiments.translator import training as translator
@@ -157,27 +155,27 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
 
     def train(cls: type) -> None:
         config = trainings.COST_TO_GO
-        state, data = cost_to_go.first_state(config), cls(trainings.training_set())
+        state, data = trainings.first_state(config), cls(trainings.training_set())
         training = cost_to_go.CostToGoTraining(config.recipe, draw_pairs)
         supervised_step(state, data, config.hyperparameters, training=training, mesh=mesh_of())
 
     def sweep(cls: type) -> None:
         config = trainings.COST_TO_GO
-        numbers = stacked_hyperparameters([config, config])
+        numbers = stacked([config.hyperparameters] * 2)
         data = cls(trainings.training_set())
-        states = stacked([cost_to_go.first_state(config)] * 2)
+        states = stacked([trainings.first_state(config)] * 2)
         training = cost_to_go.CostToGoTraining(config.recipe, draw_pairs)
         supervised_step(states, data, numbers, training=training, mesh=mesh_for_batch(config.batch_size, 2))
 
     def translate(cls: type) -> None:
         config = trainings.TRANSLATOR
-        state = translator.first_state(config, seed=0)
         data, training = cls(trainings.image_set()), translator.TranslatorTraining(config, draw_images)
-        supervised_step(state, data, translator.run_key(0), training=training, mesh=mesh_of())
+        state = training.first_state(config.hyperparameters)
+        supervised_step(state, data, config.hyperparameters, training=training, mesh=mesh_of())
 
     def train_indoors(cls: type) -> None:
         config = trainings.COST_MAPS
-        state = indoor_training.first_state(config)
+        state = config.first_state(None)
         supervised_step(state, make_indoor(cls), training=config, mesh=mesh_of())
 
     @struct.dataclass

@@ -5,7 +5,6 @@ written, when and where is the command's own doing.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,17 +22,16 @@ from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import PublishedEpisode, Start
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.results import EpisodeResult
-from dc2g_jax._src.training import cost_to_go_data, sweeps, train as training
+from dc2g_jax._src.rollouts.results import EpisodeResult, Results
+from dc2g_jax._src.training import cost_to_go_data, loop, sweeps, train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.pairs import TrainingSet
-from dc2g_jax._src.training.step import TrainingState
 from dc2g_jax.indoor import train_command
 from dc2g_jax.indoor.learning.collecting import CollectionConfig
 from dc2g_jax.indoor.learning.losses import OF_CLASSES
-from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax.indoor.search.evaluation import SearchResult
 from experiments import head_to_head, noisy_mapping, objectnav_table1, objectnav_table2, reproduce_fig5, reproduce_fig7
 from experiments.objectnav_table2 import METRICS
@@ -110,14 +108,13 @@ def fake_figure(path, *args, **options) -> list[Path]:
     return written
 
 
-def fake_encoder_task(training, views, save) -> Task[TrainingState]:
+def fake_encoder_task(training, views, card) -> Task:
     """Stands in for `encoder_task`."""
 
-    def validate(state, step, losses):
-        save(TrainedEncoder(state.weights, SMALL_ENCODER), {"loss": 0.5})
-        return [{"step": step}]
+    def save(folder, weights, facts):
+        write_network(folder, weights, SMALL_ENCODER, ENCODER, facts)
 
-    return Task(training.steps, fake_step, validate)
+    return Task(training, None, {"": training}, training.steps, lambda weights, step: {"error": 0.5}, save)
 
 
 def fake_results(name, houses, some_searches, searches) -> list[SearchResult]:
@@ -217,28 +214,47 @@ def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))
 
 
-def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
-    patch.setattr(module, "supervised_step", fake_step)
-    patch.setattr(module, "first_state", functools.cache(module.first_state))
-    patch.setattr(module, "Validation", FakeValidation)
+#: First states by configuration, since they take long to make.
+_FIRST_STATES: dict[Any, Any] = {}
+
+
+def _first_state(begun: Callable[[Any, Any], Any], task: Task, config: Any) -> Any:
+    if config not in _FIRST_STATES:
+        _FIRST_STATES[config] = begun(task, config)
+    return _FIRST_STATES[config]
+
+
+def _steps(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(loop, "supervised_step", fake_step)
+    patch.setattr(loop, "_begun", lambda task, config, begun=loop._begun: _first_state(begun, task, config))
+
+
+def _training(patch: pytest.MonkeyPatch) -> None:
+    _steps(patch)
+    patch.setattr(training, "Validation", FakeValidation)
+    patch.setattr(training, "validation_pairs", lambda *args, **options: None)
     patch.setattr(cost_to_go_data, "observation_masks", fake_masks)
     patch.setattr(cost_to_go_data, "training_set", fake_training_set)
 
 
 def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    _training(patch, training)
+    _training(patch)
+    patch.setattr(training, "error_on", lambda pairs, network: float(np.sum(jax.tree.leaves(network.weights)[0])))
     options = train.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=(2, 2, 2, 2), steps=3, batch_size=1,
-        validate_every=1, minutes_per_checkpoint=0.0, split=None,
+        validate_every=1, episodes_every=2, minutes_per_checkpoint=0.0, split=None,
     )  # fmt: skip
     return _command(train, options)
 
 
 def sweep_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    _training(patch, sweep)
-    patch.setattr(sweep, "validation_pairs", lambda *args, **options: None)
-    patch.setattr(sweeps, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
-    patch.setattr(sweep, "plot_sweep", fake_figure)
+    def fake_evaluate(planners, dataset, network, **options):
+        return Results(fake_episodes(None, STARTS, planners))
+
+    _training(patch)
+    patch.setattr(sweeps, "error_on", lambda pairs, network: float(np.sum(jax.tree.leaves(network.weights)[0])))
+    patch.setattr(sweeps, "evaluate", fake_evaluate)
+    patch.setattr(sweep, "plot_sweep", lambda result, path: fake_figure(path))
     options = sweep.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=("2,2,2,2",), losses=("l1",), seeds=(0, 1),
         steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0,
@@ -247,8 +263,7 @@ def sweep_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
 
 
 def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    patch.setattr(reproduce_fig5, "supervised_step", fake_step)
-    patch.setattr(reproduce_fig5, "first_state", functools.cache(reproduce_fig5.first_state))
+    _steps(patch)
     patch.setattr(reproduce_fig5, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
     data = reproduce_fig5.TranslationData(trainings.image_set(), trainings.image_set())
     patch.setattr(reproduce_fig5, "translation_data", lambda dataset, options: data)
@@ -268,8 +283,7 @@ def train_command_(
     patch.setattr(train_command, "EncoderArchitecture", lambda: SMALL_ENCODER)
     patch.setattr(train_command, "encoder_task", fake_encoder_task)
     patch.setattr(train_command, "collect", lambda *args: trainings.journeys())
-    patch.setattr(train_command, "supervised_step", fake_step)
-    patch.setattr(train_command, "first_state", functools.cache(train_command.first_state))
+    _steps(patch)
     patch.setattr(train_command, "validation_samples", lambda *args: None)
     patch.setattr(train_command, "figures", lambda *args: {"error": 0.5})
     options = train_command.Options(

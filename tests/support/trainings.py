@@ -17,15 +17,12 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
-from dc2g_jax._src.training import cost_to_go
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import Supervised, TrainingState, supervised_step
-from dc2g_jax.indoor.learning import training as cost_maps
 from dc2g_jax.indoor.learning.data import JourneySet
 from dc2g_jax.indoor.learning.networks import CostMapArchitecture
 from dc2g_jax.indoor.learning.training import BETTER_RECIPE, CostMapConfig
-from experiments.translator import training as translator
 from experiments.translator.drawn_masks import drawn_masks
 from experiments.translator.network import TranslatorArchitecture
 from experiments.translator.pairs import ImageSet, all_pairs, draw_image_pairs
@@ -96,7 +93,6 @@ class Case(NamedTuple):
 
     training: Supervised
     config: Any
-    first_state: Callable[[Any], TrainingState]
     data: Callable[[], Any]
     hyperparameters: Any
     others: Any
@@ -106,25 +102,28 @@ class Case(NamedTuple):
 
 CASES = {
     "cost_to_go": Case(
-        CostToGoTraining(COST_TO_GO.recipe, DRAW_PAIRS), COST_TO_GO, cost_to_go.first_state,
-        training_set, COST_TO_GO.hyperparameters,
+        CostToGoTraining(COST_TO_GO.recipe, DRAW_PAIRS), COST_TO_GO, training_set, COST_TO_GO.hyperparameters,
         COST_TO_GO.hyperparameters.replace(seed=jnp.uint32(5), learning_rate=jnp.float32(1e-4)), COST_TO_GO.steps, 0.6,
     ),
     "translator": Case(
-        TranslatorTraining(TRANSLATOR, DRAW_IMAGES), TRANSLATOR, functools.partial(translator.first_state, seed=0),
-        image_set, translator.run_key(0), translator.run_key(1), 30, 0.8,
+        TranslatorTraining(TRANSLATOR, DRAW_IMAGES), TRANSLATOR, image_set, jnp.uint32(0), jnp.uint32(1), 30, 0.8,
     ),
     "cost_maps": Case(
-        COST_MAPS, COST_MAPS, cost_maps.first_state, journeys, None, None,
-        COST_MAPS.steps, 0.8,
+        COST_MAPS, COST_MAPS, journeys, None, None, COST_MAPS.steps, 0.8,
     ),
 }  # fmt: skip
+
+
+def first_state(config: TrainingConfig) -> TrainingState:
+    """The state of a cost-to-go training before the first step."""
+    return CostToGoTraining(config.recipe, DRAW_PAIRS).first_state(config.hyperparameters)
 
 
 def train(case: Case, steps: int, state=None, devices=None, hyperparameters=None):
     """Train on from a state (the first by default); the state is used up."""
     mesh, losses = mesh_of(devices), []
-    state, data = replicate((case.first_state(case.config) if state is None else state, case.data()), mesh)
+    first = case.training.first_state(case.hyperparameters) if state is None else state
+    state, data = replicate((first, case.data()), mesh)
     numbers = case.hyperparameters if hyperparameters is None else hyperparameters
     for _ in range(steps):
         state, loss = supervised_step(state, data, numbers, training=case.training, mesh=mesh)
@@ -138,6 +137,23 @@ class Count:
     """The state of a training that only counts its steps."""
 
     step: Int[Array, ""]
+
+    @property
+    def trained(self) -> Array:
+        """The number of steps stands for weights."""
+        return self.step
+
+    optimizer = ()
+
+
+class Counting(Supervised):
+    """What trains it, at a rate that grows with the steps."""
+
+    batch_size = 1
+
+    def learning_rate(self, hyperparameters):
+        """A tenth of the number of the step."""
+        return lambda step: jnp.float32(0.1 * (step + 1))
 
 
 @functools.partial(jax.jit, donate_argnames=("state",))

@@ -10,9 +10,8 @@ import pytest
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.training.cost_to_go import first_state
 from experiments.translator.training import TranslatorConfig
-from tests.support.trainings import CASES, COST_TO_GO as CONFIG, train
+from tests.support.trainings import CASES, COST_TO_GO as CONFIG, first_state, train
 
 
 def test_another_seed_gives_other_weights():

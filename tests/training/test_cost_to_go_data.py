@@ -33,11 +33,11 @@ def houses(street) -> list[House]:
     ("options", "mention"),
     [
         ({"data_seed": 10_000}, "10000; give|data seed 10000"),
-        ({"ranges": ()}, "sensing range"),
-        ({"ranges": (0, 5)}, "sensing range"),
-        ({"ranges": (5, 65)}, "1 to 64 cells"),
+        ({"ranges": ()}, "sensing ranges"),
+        ({"ranges": (0, 5)}, "sensing range 0"),
+        ({"ranges": (5, 65)}, "from 1 to 64 cells"),
         ({"masks_per_episode": 0}, "masks_per_episode 0"),
-        ({"extra_houses": -1}, "extra houses -1"),
+        ({"extra_houses": -1}, "extra_houses -1"),
         ({"half_weight_cost": 0.0}, "half_weight_cost 0.0"),
     ],
 )

@@ -9,22 +9,29 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
 from tests.support.refusals import refusal
-from tests.support.trainings import Count, count_step
+from tests.support.trainings import Count, Counting, count_step
 
 
 class Training:
     """A training that counts its steps, and notes what the loop does with it. It keeps its states as well."""
 
-    def __init__(self, out: Path):
+    def __init__(self, out: Path, patch: pytest.MonkeyPatch):
         self.out = out
-        self.validations: list[int] = []
         self.saved: list[int] = []
         self.interrupt_step, self.interrupt_validation, self.interrupts = -1, -1, 1
+        patch.setattr(loop, "RunStates", lambda task, out: self)
+        patch.setattr(loop, "supervised_step", lambda state, **options: self.take(state))
+        self.take = self.step
+
+    @property
+    def validations(self) -> list[int]:
+        return list(Log(self.out).by_step())
 
     def step(self, state):
-        if int(jnp.copy(state.step)) == self.interrupt_step:  # with a view of it, jax 0.11 would not use the state up
+        if int(jnp.copy(np.max(state.step))) == self.interrupt_step:  # with a view, jax 0.11 would not use the state up
             self.interrupt_step = -1
             done = count_step(state)
             for _ in range(self.interrupts):
@@ -32,40 +39,39 @@ class Training:
             return done
         return count_step(state)
 
-    def validate(self, state, step, losses):
-        assert int(state.step) == step
+    def validate(self, weights, step):
+        assert int(weights) == step
         if step == self.interrupt_validation:
             self.interrupt_validation = -1
             raise KeyboardInterrupt
-        self.validations.append(step)
-        return [{"step": step}]
+        return {}
 
     def restore(self):
-        return Count(jnp.int32(self.first_step))
+        return Count(jnp.full(len(self.runs), self.first_step) if len(self.runs) > 1 else jnp.int32(self.first_step))
 
     def save(self, state):
-        self.saved.append(int(state.step))
+        self.saved.append(int(np.max(state.step)))
 
     def close(self):
         pass
 
-    def run(self, first_step=0, validate_every=10, minutes=np.inf, **changes):
-        self.first_step = first_step
+    def run(self, first_step=0, validate_every=10, minutes=np.inf, runs=("",), **changes):
+        self.first_step, self.runs = first_step, runs
         task = Task(
-            25, **{"step": self.step, "validate": self.validate, **changes},
-            validated=self.validations, name="test", steps_per_look=4,
+            Counting(), None, dict.fromkeys(runs), 25, **{"validate": self.validate, **changes},
+            save=lambda folder, weights, facts: None, name="test", steps_per_look=4,
         )  # fmt: skip
-        return fit(task, self.out, self, Pauses(validate_every, minutes))
+        return fit(task, self.out, Pauses(validate_every, minutes))
 
 
 @pytest.fixture
-def training(tmp_path) -> Training:
-    return Training(tmp_path)
+def training(tmp_path, monkeypatch) -> Training:
+    return Training(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(("validate_every", "wanted"), [(10, [10, 20, 25]), (0, [25]), (25, [25])])
 def test_it_validates_now_and_then_and_in_the_end(training, validate_every, wanted):
-    assert int(training.run(validate_every=validate_every).step) == 25
+    assert training.run(validate_every=validate_every) == [25]
     assert training.validations == wanted
     assert training.saved == [25]
 
@@ -100,36 +106,56 @@ def test_what_diverged_before_an_interrupt_is_not_saved(training):
         new, loss = training.step(state)
         return new, jnp.where(new.step < 6, loss, jnp.nan)
 
+    training.take = step
     with pytest.raises(InputError, match="the loss is nan at step 6; lower --learning-rate"):
-        training.run(step=step)
+        training.run()
     assert training.saved == []
 
 
-def test_runs_trained_together_go_on_when_one_diverges(training):
+def test_runs_with_names_go_on_when_one_diverges(training):
     def step(state):
         new, loss = training.step(state)
-        return new, jnp.stack([loss, jnp.nan])
+        return new, jnp.stack([loss[0], jnp.nan])
 
-    looked = []
-    training.run(
-        step=step,
-        watch=lambda state, step, losses: looked.append((step, losses)),
-        validate=lambda state, step, losses: [{"run": run, "step": step} for run in ("a", "b")],
-        runs=("a", "b"),
-    )
+    training.take = step
+    assert training.run(runs=("a", "b"), validate=lambda weights, step: {"error": 1.0}) == [25, 25]
     assert training.saved == [25]
-    assert looked[0] == (0, None)  # before the first step
-    assert looked[1][0] == 4
-    np.testing.assert_array_equal(looked[1][1], [1.5, np.nan])  # the mean of the steps between
+    lines = [Log(training.out).by_step(run) for run in ("a", "b")]
+    assert [line["loss"] for line in lines[0].values()] == [8.5, 17.5, 24.0]  # means of the steps since the last fetch
+    assert [line["loss"] for line in lines[1].values()] == [None] * 3
 
 
-def test_pauses_that_are_none_are_refused():
-    with pytest.raises(InputError, match="--validate-every -1: give at least 1"):
-        Pauses(-1, 1.0).check_pauses()
-    for minutes in (-0.5, np.nan):
-        with pytest.raises(InputError, match=f"--minutes-per-checkpoint {minutes}: give a number from 0 on"):
-            Pauses(10, minutes).check_pauses()
-    Pauses(0, 0.0).check_pauses()
+def test_losses_are_shown_before_the_first_step_and_after_each_fetch(training):
+    class Shown:
+        looked, validated, close = [], [], lambda self: None
+
+        def look(self, step, figures, weights):
+            self.looked.append((step, figures))
+
+        def validate(self, step, figures, weights):
+            self.validated.append(step)
+
+    training.run(recording=Shown())
+    assert Shown.looked[:2] == [(0, {}), (4, {"loss": 1.5, "learning_rate": pytest.approx(0.4)})]
+    assert Shown.validated == [10, 20, 25]
+
+
+@pytest.mark.parametrize(
+    ("pauses", "words"),
+    [
+        (Pauses(-1, 1.0), "--validate-every -1: give a whole number of at least 0"),
+        (Pauses(10, -0.5), "--minutes-per-checkpoint -0.5: give a number of at least 0"),
+        (Pauses(10, np.nan), "--minutes-per-checkpoint nan: give a number of at least 0"),
+    ],
+)
+def test_pauses_that_are_none_are_refused(pauses, words):
+    refusal(pauses.check_pauses, words)
+
+
+@pytest.mark.parametrize("steps", [1, 5, 20, 100, 48_000])
+def test_a_training_validates_five_times_unless_told_otherwise(steps):
+    validations = sum(Pauses().validates(step, steps) for step in range(1, steps + 1))
+    assert validations == min(steps, 6) or validations == 5
 
 
 @pytest.mark.usefixtures("interruptible")

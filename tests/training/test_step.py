@@ -45,7 +45,9 @@ def test_an_interrupted_run_ends_like_one_that_was_not(case, trained, tmp_path):
     losses = []
     for steps in (7, 9, case.steps - 16):
         # A new process each time.
-        checkpoints = TrainingCheckpoints(tmp_path / "run", case.config, first_state=case.first_state)
+        checkpoints = TrainingCheckpoints(
+            tmp_path / "run", case.config, first_state=lambda _: case.training.first_state(case.hyperparameters)
+        )
         state = checkpoints.restore()
         assert int(state.step) == len(losses)
         state, part = train(case, steps, state)
@@ -85,7 +87,7 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(case):
 
 
 def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(case):
-    state = case.first_state(case.config)
+    state = case.training.first_state(case.hyperparameters)
     _, losses = train(case, 1, state.replace(optimizer=infinite(state.optimizer)))
     assert np.isnan(losses[0])
 
@@ -98,7 +100,7 @@ def test_runs_of_the_translator_together_are_like_alone(monkeypatch, platform):
         monkeypatch.setattr(module, "platform", lambda mesh: platform)
     case, keys = CASES["translator"], [translator.run_key(seed) for seed in range(2)]
     mesh = mesh_for_batch(case.config.batch_size, 2)
-    first = [translator.first_state(case.config, seed=seed) for seed in range(2)]
+    first = [case.training.first_state(jnp.uint32(seed)) for seed in range(2)]
     states = placed(jax.tree.map(lambda *leaves: jnp.stack(leaves), *first), mesh)
     together = []
     for _ in range(3):

@@ -3,6 +3,8 @@
 import contextlib
 import dataclasses
 import functools
+import shutil
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,27 +12,33 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts import devices
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.training import step
-from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, mean_loss
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, mean_loss
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
 from dc2g_jax._src.training.sweeps import (
-    StackedCheckpoints,
+    Sweep,
     group_by_shape,
     in_turns,
+    named_losses,
     runs_of_grid,
-    stacked_hyperparameters,
-    steps_left_out,
+    sweep,
 )
 from tests.support import maps
+from tests.support.houses import STREET, house
+from tests.support.refusals import refusal
+from tests.support.trainings import first_state
 
 BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
 DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
@@ -50,8 +58,8 @@ def data() -> TrainingSet:
 
 
 def grid(**axes):
-    whole = {"losses": ["l1"], "learning_rates": [1e-3], "widths": [BASE.architecture.widths], "seeds": [0]}
-    return runs_of_grid(BASE, **{**whole, **axes})
+    whole = {"losses": ["l1"], "learning_rates": [1e-3], "widths": [BASE.architecture.widths], "seeds": [0]} | axes
+    return runs_of_grid(BASE, **{**whole, "losses": named_losses(whole["losses"])[0]})
 
 
 def test_losses_from_text():
@@ -95,7 +103,7 @@ def test_an_axis_without_values_or_with_one_twice_is_refused(axis):
 
 
 def test_one_loss_in_two_spellings_is_refused_and_close_rates_are_not():
-    with pytest.raises(InputError, match="l1, l1=1 names the same loss twice"):
+    with pytest.raises(InputError, match="'l1=1' is given twice"):
         grid(losses=["l1", "l1=1"])
     assert len(grid(learning_rates=[0.002, 0.0020000001])) == 2
 
@@ -143,7 +151,7 @@ def take_steps(data, state, hyperparameters, recipe, steps: int, runs: int = 1):
 
 
 def train(data, configs, steps: int, states=None):
-    hyperparameters, recipe = stacked_hyperparameters(configs), configs[0].recipe
+    hyperparameters, recipe = stacked([config.hyperparameters for config in configs]), configs[0].recipe
     states = stacked([first_state(config) for config in configs]) if states is None else states
     return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
@@ -202,7 +210,7 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
     assert np.isfinite(losses[:, 0]).all()
     assert np.isnan(losses[:, 1]).all()
     assert states.step.tolist() == [4, 4]
-    assert steps_left_out(states).tolist() == [0, 4]
+    assert steps_left_out(states) == [0, 4]
     for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
         np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
     first = first_state(configs[1]).weights
@@ -212,11 +220,10 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
 def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
     configs = list(grid(seeds=[0, 1]).values())
     states = stacked([first_state(config) for config in configs])
-    of_runs = [
-        TrainingCheckpoints(tmp_path / str(run), config, first_state=first_state) for run, config in enumerate(configs)
-    ]
-    checkpoints = StackedCheckpoints(of_runs)
-    with contextlib.closing(checkpoints):
+    training, runs = CostToGoTraining(BASE.recipe, DRAW), {str(run): config for run, config in enumerate(configs)}
+    task = Task(training, None, runs, 20, lambda *args: {}, lambda *args: None)
+    with contextlib.closing(RunStates(task, tmp_path)) as checkpoints:
+        of_runs = checkpoints._of_runs
         of_runs[1].save(first_state(configs[1]))
         jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states)
         assert of_runs[1].steps() == []
@@ -224,3 +231,141 @@ def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
         of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved
         jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states.replace(step=states.step + 2))
         assert [each.steps() for each in of_runs] == [[2], [2]]
+
+
+def own_loss(estimate, target, levels):
+    """Relative error."""
+    return jnp.abs(estimate - target) / (0.25 + target)
+
+
+@pytest.mark.parametrize(
+    ("losses", "names"),
+    [
+        ("l1", {"l1": (("l1", 1.0),)}),
+        (["l1", "l2=1,log=0.5"], {"l1": (("l1", 1.0),), "l2=1,log=0.5": (("l2", 1.0), ("log", 0.5))}),
+        (["l1", own_loss], {"l1": (("l1", 1.0),), "own_loss": (("own_loss", 1.0),)}),
+        ([("mine", own_loss)], {"mine": (("mine", 1.0),)}),
+        ({"mine": own_loss, "both": "l1,l2"}, {"mine": (("mine", 1.0),), "both": (("l1", 1.0), ("l2", 1.0))}),
+    ],
+)
+def test_losses_are_names_sums_or_functions(losses, names):
+    sums, own = named_losses(losses)
+    assert sums == names
+    assert set(own.values()) <= {own_loss}
+
+
+@pytest.mark.parametrize(
+    ("losses", "words"),
+    [
+        ([lambda *args: args[0]], "give a function of your own another name"),
+        ({"l1": own_loss}, "give a function of your own another name"),
+        ([3], "loss 3: give a name"),
+        (["l3"], "known: quantile, l1"),
+        ([lambda estimate: estimate], "another name"),
+        ({"mine": lambda estimate: estimate}, "loss 'mine': cannot be called"),
+        ([own_loss, own_loss], "'own_loss' is given twice"),
+    ],
+)
+def test_losses_that_are_none_are_refused(losses, words):
+    refusal(lambda: named_losses(losses), words)
+
+
+def row(run, loss, seed, error, **more):
+    facts = {"learning_rate": 1e-3, "widths": "4-4", "steps": 10, "steps_left_out": 0}
+    return {"run": run, "loss": loss, "seed": seed, "error": error, **facts, **more}
+
+
+def test_a_sweep_is_told_by_loss_with_the_spread_over_seeds():
+    table = (row("a", "l1", 0, 4.0), row("b", "l1", 1, 5.0), row("c", "l2", 0, 2.0), row("d", "l2", 1, 3.0))
+    result = Sweep(table, np.array([5, 10]), np.zeros((4, 2)), {}, "")
+    assert result.kinds() == {"l2": [2, 3], "l1": [0, 1]}
+    assert str(result).splitlines() == [
+        "loss  runs       error (cells)",
+        "l2       2         2.50 ± 0.71",
+        "l1       2         4.50 ± 0.71",
+    ]
+    diverged = dataclasses.replace(result, table=(*table[:2], row("c", "l2", 0, 2.0, steps_left_out=3), table[3]))
+    assert list(diverged.kinds()) == ["l1", "l2"]
+    assert "1 diverged" in str(diverged).splitlines()[2]
+    faster = dataclasses.replace(result, table=(*table[:3], row("d", "l2", 1, 3.0, learning_rate=2e-3)))
+    assert list(faster.kinds())[:2] == ["l2, learning rate 0.001", "l2, learning rate 0.002"]
+
+
+HOUSES = HouseDataset("two", "folder", (house("street", STREET), house("lane", STREET[:, ::-1].copy(), "val")))
+SMALL = {
+    "config": dataclasses.replace(BASE, steps=3, batch_size=2),
+    "data": DataConfig(extra_houses=0, starts_per_house=1, ranges=(3,)),
+    "widths": [(4, 4)],
+}
+
+
+def sweep_houses(out, **options):
+    return sweep(out, HOUSES, **{"losses": ["l1", own_loss], "seeds": [0, 1, 2], "split": None, **SMALL, **options})
+
+
+@pytest.mark.slow
+def test_a_sweep_gives_arrays_and_goes_on_where_it_was(tmp_path):
+    whole = sweep_houses(tmp_path / "whole", track="tensorboard")
+    assert whole.curves.shape == (6, len(whole.steps))
+    assert whole.steps[-1] == 3
+    assert list(whole.networks) == [one["run"] for one in whole.table]
+    assert {path.name for path in (tmp_path / "whole" / "tensorboard").iterdir()} == set(whole.networks)
+    in_turn = sweep_houses(tmp_path / "in_turn", runs_at_once=4)
+    np.testing.assert_allclose(in_turn.curves, whole.curves, rtol=1e-3)
+    for run, network in whole.networks.items():
+        kept = network_in_folder(tmp_path / "whole" / "runs" / run / "network")
+        jax.tree.map(np.testing.assert_array_equal, kept.weights, network.weights)
+        other = in_turn.networks[run].weights
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5), other, network.weights)
+    # A turn that is done is not opened again; a network that is gone comes back.
+    *first, _, last = whole.networks
+    for run in first[:4]:
+        shutil.rmtree(tmp_path / "in_turn" / "runs" / run / "states")
+    shutil.rmtree(tmp_path / "in_turn" / "runs" / last / "network")
+    again = sweep_houses(tmp_path / "in_turn", runs_at_once=4)
+    jax.tree.map(np.testing.assert_array_equal, again.networks, in_turn.networks)
+    other_data = {"data": dataclasses.replace(SMALL["data"], data_seed=1)}
+    refusal(lambda: sweep_houses(tmp_path / "in_turn", **other_data), "data_seed was 0")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"losses": ["l3"]}, "l3"),
+        ({"seeds": []}, "seed: no value to try"),
+        ({"split": "valid"}, "no split is called 'valid'"),
+        ({"runs_at_once": 0}, "--runs-at-once 0"),
+        ({"pauses": Pauses(-1)}, "--validate-every -1"),
+    ],
+)
+def test_a_sweep_that_cannot_be_is_refused_before_anything_is_written(tmp_path, options, words):
+    refusal(lambda: sweep_houses(tmp_path / "new", **options), words)
+    assert not (tmp_path / "new").exists()
+
+
+README = """
+import jax.numpy as jnp
+import dc2g_jax as dc2g
+
+def relative(estimate, target, levels):
+    return jnp.abs(estimate - target) / (0.25 + target)
+
+sweep = dc2g.sweep(
+    "outputs/sweep", "procedural", losses=["quantile", "l1", relative], seeds=[0, 1, 2], widths=[(16, 32)],
+    config=dc2g.TrainingConfig(steps=200, batch_size=8), split=None,
+)
+print(sweep)
+dc2g.plot_sweep(sweep, "outputs/sweep/curves")
+"""
+
+
+@pytest.mark.slow
+def test_the_readme_compares_two_losses_and_ones_own_from_python(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, Any] = {}
+    exec(README, found)
+    assert len(capsys.readouterr().out.splitlines()) == 4
+    assert set(found["sweep"].kinds()) == {"quantile", "l1", "relative"}
+    assert len(found["sweep"].steps) >= 5
+    assert np.all(np.isfinite(found["sweep"].curves))
+    assert (tmp_path / "outputs" / "sweep" / "curves.png").stat().st_size > 0

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Pauses, Task, fit
 from dc2g_jax._src.training.tracking import Curve, check_tracker
-from tests.support.trainings import Count, count_step
+from tests.support.trainings import Count, Counting, count_step
 
 PICTURE = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
 
@@ -46,35 +47,39 @@ def events(folder: Path) -> dict[tuple[str, int], object]:
 class Checkpoints:
     """Keeps the last state in memory."""
 
-    step = 0
+    step, runs = 0, 1
 
     def restore(self):
-        return Count(jnp.int32(self.step))
+        return Count(jnp.full(self.runs, self.step) if self.runs > 1 else jnp.int32(self.step))
 
     def save(self, state):
-        self.step = int(state.step)
+        self.step = int(np.max(state.step))
 
     def close(self):
         pass
 
 
-def trained(out: Path, checkpoints: Checkpoints, fail_at: int | None = None, track=None, runs=()) -> None:
+@pytest.fixture
+def trained(monkeypatch):
     """A training of 10 steps, with a look every 2, a validation every 5, and losses that are steps before it."""
 
-    def step(state):
-        if int(state.step) == fail_at:
-            raise RuntimeError("killed")
-        state, loss = count_step(state)
-        return state, jnp.stack([loss, -loss]) if runs else loss
+    def train(out: Path, checkpoints: Checkpoints, fail_at: int | None = None, track=None, runs=("",)) -> None:
+        def step(state, **options):
+            if int(np.max(state.step)) == fail_at:
+                raise RuntimeError("killed")
+            state, loss = count_step(state)
+            return state, loss * jnp.array([1, -1]) if len(runs) > 1 else loss
 
-    def validate(state, step, losses):
-        return [{"step": step, "loss": None, "error": sign * step / 4} for sign in ((1, -1) if runs else (1,))]
+        checkpoints.runs = len(runs)
+        monkeypatch.setattr(loop, "RunStates", lambda task, out: checkpoints)
+        monkeypatch.setattr(loop, "supervised_step", step)
+        task = Task(
+            Counting(), None, dict.fromkeys(runs), 10, lambda weights, step: {"error": step / 4},
+            lambda folder, weights, facts: None, steps_per_look=2, picture=lambda weights: PICTURE,
+        )  # fmt: skip
+        fit(task, out, Pauses(5, 0.0), track)
 
-    task = Task(
-        10, step, validate, steps_per_look=2, runs=runs,
-        learning_rate=lambda step: 0.1 * step, pictures=lambda state: [PICTURE] * (len(runs) or 1),
-    )  # fmt: skip
-    fit(task, out, checkpoints, Pauses(5, 0.0), track)
+    return train
 
 
 WHOLE = [
@@ -87,14 +92,14 @@ WHOLE = [
 ]
 
 
-def test_the_table_has_every_look_and_every_validation(tmp_path):
+def test_the_table_has_every_look_and_every_validation(tmp_path, trained):
     trained(tmp_path, Checkpoints())
     assert rows(tmp_path) == WHOLE
 
 
 @pytest.mark.parametrize("fail_at", [3, 7, 9])
 @pytest.mark.parametrize("lost", [False, True])
-def test_a_training_that_was_killed_goes_on_in_the_table_and_in_tensorboard(tmp_path, fail_at, lost):
+def test_a_training_that_was_killed_goes_on_in_the_table_and_in_tensorboard(tmp_path, trained, fail_at, lost):
     checkpoints = Checkpoints()
     with pytest.raises(RuntimeError, match="killed"):
         trained(tmp_path, checkpoints, fail_at, "tensorboard")
@@ -122,7 +127,7 @@ def test_tensorboard_has_a_point_soon_whatever_becomes_of_the_process(tmp_path):
     curve.close()
 
 
-def test_runs_trained_together_have_rows_and_a_tracker_each(tmp_path):
+def test_runs_trained_together_have_rows_and_a_tracker_each(tmp_path, trained):
     trained(tmp_path, Checkpoints(), track="tensorboard", runs=("a", "b"))
     own = {run: [row for row in rows(tmp_path) if row.pop("run") == run] for run in ("a",)}
     assert own["a"] == WHOLE

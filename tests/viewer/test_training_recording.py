@@ -11,25 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli.commands.train import Options, watching
+from dc2g_jax._src.cli.commands.train import Options, shown_by
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
-from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.terrain import FIGURE_RGB, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House, HouseDataset
-from dc2g_jax._src.rollouts.devices import mesh_for_batch
-from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, learning_rates
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, Task, fit
 from dc2g_jax._src.training.pairs import Pair, TrainingSet
-from dc2g_jax._src.training.step import supervised_step
 from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.legend import CostScale
 from dc2g_jax._src.viewer.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from tests.support.recordings import read
+from tests.support.trainings import DRAW_PAIRS
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)
 _SHAPE = (3, 8, 10)
@@ -67,10 +65,10 @@ def logged(tmp_path_factory):
     """A run of three looks and one validation."""
     folder = tmp_path_factory.mktemp("run")
     recording = _recording(folder, _maps())
-    recording.look(0, None, _network(0))
-    recording.look(2, 0.5, _network(1))
-    recording.look(4, 0.25, _network(1))
-    recording.validate(4, {"own_mean_extra": 12.5, "own_median_extra": 7.0}, _network(2))
+    recording.look(0, {}, _network(0).weights)
+    recording.look(2, {"loss": 0.5, "learning_rate": 0.01}, _network(1).weights)
+    recording.look(4, {"loss": 0.25, "learning_rate": 0.02}, _network(1).weights)
+    recording.validate(4, {"error": 3.5, "own_mean_extra": 12.5, "own_median_extra": 7.0}, _network(2).weights)
     recording.close()
     return read(folder / "training-001.rrd")
 
@@ -79,13 +77,14 @@ def test_learning_rates_are_those_of_warm_up_and_cosine_decay():
     config = TrainingConfig(steps=50, learning_rate=0.004)
     warm_up = [0.004 * step / 5 for step in range(5)]
     decay = [0.004 * (1 + math.cos(math.pi * step / 45)) / 2 for step in range(45)]
-    np.testing.assert_allclose(learning_rates(config), warm_up + decay, rtol=1e-5, atol=1e-9)
+    schedule = CostToGoTraining(config.recipe, DRAW_PAIRS).learning_rate(config.hyperparameters)
+    np.testing.assert_allclose([schedule(step) for step in range(50)], warm_up + decay, rtol=1e-5, atol=1e-9)
 
 
 def test_curves_are_what_was_logged(logged):
-    rates = learning_rates(_CONFIG)
     assert logged["/loss", "Scalars:scalars"] == {2: [0.5], 4: [0.25]}
-    assert logged["/learning_rate", "Scalars:scalars"] == {2: [pytest.approx(rates[1])], 4: [pytest.approx(rates[3])]}
+    assert logged["/learning_rate", "Scalars:scalars"] == {2: [0.01], 4: [0.02]}
+    assert logged["/validation/error/error", "Scalars:scalars"] == {4: [3.5]}
     assert logged["/validation/mean/own_mean_extra", "Scalars:scalars"] == {4: [12.5]}
     assert logged["/validation/mean/own_mean_extra", "SeriesLines:names"] == {None: ["own mean extra"]}
     assert logged["/validation/median/own_median_extra", "Scalars:scalars"] == {4: [7.0]}
@@ -141,7 +140,7 @@ def test_a_run_that_is_taken_up_again_overwrites_nothing(tmp_path):
     for number in (1, 2):
         assert next_file(tmp_path) == tmp_path / f"training-{number:03d}.rrd"
         recording = _recording(tmp_path, _maps())
-        recording.look(number, 1.0, _network(0))
+        recording.look(number, {"loss": 1.0}, _network(0).weights)
         recording.close()
     chunks = pytest.importorskip("rerun.chunk")
     files = [chunks.RrdReader(tmp_path / f"training-{number:03d}.rrd") for number in (1, 2)]
@@ -163,7 +162,7 @@ def test_what_was_logged_is_readable_before_the_recording_is_closed(tmp_path):
     """A process that is killed leaves the file as it is at that moment."""
     recording = _recording(tmp_path, _maps())
     for step in range(1, 7):
-        recording.look(step, 1 / step, _network(0))
+        recording.look(step, {"loss": 1 / step}, _network(0).weights)
         time.sleep(0.1)
     left = tmp_path / "left.rrd"
 
@@ -189,42 +188,24 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
         mask_world=jnp.arange(2),
         n_own=jnp.int32(2),
     )
-    training, mesh = CostToGoTraining(_CONFIG.recipe, DataConfig(extra_houses=0).draw_batch), mesh_for_batch(1)
+    training = CostToGoTraining(_CONFIG.recipe, DataConfig(extra_houses=0).draw_batch)
 
-    def trained(name, watch, validate):
+    def trained(name, recording=None):
         task = Task(
-            _CONFIG.steps,
-            lambda state: supervised_step(state, data, _CONFIG.hyperparameters, training=training, mesh=mesh),
-            validate=validate,
-            watch=watch,
-            steps_per_look=1,
-        )
-        out = tmp_path / name
-        return fit(task, out, TrainingCheckpoints(out, _CONFIG, first_state=first_state), Pauses(2, 1.0))
+            training, data, {"": _CONFIG}, _CONFIG.steps, validate=lambda weights, step: {"mean_extra": 1.0},
+            save=lambda folder, weights, facts: None, recording=recording, steps_per_look=1,
+        )  # fmt: skip
+        return fit(task, tmp_path / name, Pauses(2, 1.0))
 
-    def network_of(state):
-        return NetworkCostToGo(weights=state.average, architecture=_CONFIG.architecture)
-
-    recording = _recording(tmp_path, _maps())
-
-    def watch(state, step, loss):
-        recording.look(step, None if loss is None else float(loss), network_of(state))
-
-    def validate(state, step, loss):
-        recording.validate(step, {"mean_extra": 1.0}, network_of(state))
-        return []
-
-    recorded = trained("recorded", watch, validate)
-    recording.close()
-    plain = trained("plain", lambda state, step, loss: None, lambda state, step, loss: [])
-    jax.tree.map(np.testing.assert_array_equal, recorded, plain)
+    recorded = trained("recorded", _recording(tmp_path, _maps()))
+    jax.tree.map(np.testing.assert_array_equal, recorded, trained("plain"))
     assert sorted(read(tmp_path / "training-001.rrd")["/loss", "Scalars:scalars"]) == [1, 2, 3, 4, 5, 6]
 
 
 def test_the_command_records_observed_parts_of_validation_houses(tmp_path, street):
     dataset = HouseDataset("two", "folder", (House("a", "val", street), House("b", "val", street[:, ::-1].copy())))
-    assert watching(Options(out=tmp_path), dataset, _CONFIG).recording is None
-    recording = watching(Options(out=tmp_path, record=True), dataset, _CONFIG).recording
+    assert shown_by(Options(out=tmp_path), dataset, _CONFIG) == {}
+    recording = shown_by(Options(out=tmp_path, record=True), dataset, _CONFIG)["recording"]
     recording.close()
     maps = maps_to_watch(dataset, 6)
     shown = read(tmp_path / "training-001.rrd")["/maps/known", "SegmentationImage:buffer"][None]

@@ -6,7 +6,7 @@ import functools
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -218,6 +218,30 @@ def newest_step(folder: str | Path) -> int:
     return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdecimal()), default=0)
 
 
+def keep_config(folder: Path, config: Any, facts: Mapping[str, Any] | None = None) -> None:
+    """Save the configuration of a run in its folder, or check that it is that of the run which is there.
+
+    Raises:
+      InputError: the folder holds a run of another configuration.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
+    if not (folder / _CONFIG).exists():
+        write_json(folder / _CONFIG, wanted)
+        return
+    found = read_object(folder / _CONFIG, "give another folder")
+    changed = [name for name in wanted if found.get(name) != wanted[name]]
+    if changed:
+        name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
+        if isinstance(was, dict) and isinstance(now, dict):
+            within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
+            name, was, now = f"{name}: {within}", was.get(within), now.get(within)
+        raise InputError(
+            f"{folder / _CONFIG}: {name} was {short(was)} in the run that is there, now {short(now)}; give the same "
+            "options to resume it, or another folder"
+        )
+
+
 class TrainingCheckpoints:
     """Training states of one run in a folder. The newest two are kept.
 
@@ -235,31 +259,15 @@ class TrainingCheckpoints:
         self,
         folder: str | Path,
         config: Any,
-        facts: dict[str, Any] | None = None,
+        facts: Mapping[str, Any] | None = None,
         *,
         first_state: Callable[[Any], Any],
     ):
         self._first_state, self._orbax = functools.partial(first_state, config), _orbax()
-        self._folder = Path(folder).absolute() / _STATES
-        self._folder.mkdir(parents=True, exist_ok=True)
-        path, wanted = (
-            self._folder.parent / _CONFIG,
-            json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})})),
-        )
-        if not path.exists():
-            write_json(path, wanted)
-        found = read_object(path, "give another folder")
-        changed = [name for name in wanted if found.get(name) != wanted[name]]
-        if changed:
-            name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
-            if isinstance(was, dict) and isinstance(now, dict):
-                within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
-                name, was, now = f"{name}: {within}", was.get(within), now.get(within)
-            raise InputError(
-                f"{path}: {name} was {short(was)} in the run that is there, now {short(now)}; give the same options to "
-                "resume it, or another folder"
-            )
-
+        folder = Path(folder).absolute()
+        keep_config(folder, config, facts)
+        self._folder = folder / _STATES
+        self._folder.mkdir(exist_ok=True)
         with _quiet():
             self._manager = self._orbax.CheckpointManager(
                 self._folder,

@@ -1,6 +1,5 @@
 """Figures of training: validation curves for each kind of run, and learning curves of agents."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, plain_axes, save_figure
+from dc2g_jax._src.training.sweeps import Sweep
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = ("o", "^", "s", "D", "v", "P", "X")
@@ -30,46 +30,42 @@ def draw_band(axes: Axes, steps: Int[np.ndarray, "n"], curves: Float[np.ndarray,
     axes.fill_between(steps, mean - deviation, mean + deviation, color=line.get_color(), alpha=0.17, linewidth=0)
 
 
-def plot_sweep(
-    path: str | Path,
-    runs: Mapping[str, Sequence[Mapping[int, float]]],
-    extra: Mapping[str, Sequence[float]],
-    caption: str,
-) -> None:
+def plot_sweep(sweep: Sweep, path: str | Path) -> list[Path]:
     """Draw a sweep: validation errors over training steps, and extra steps of planners with the networks.
 
     Each kind of run has a curve, the mean over its seeds, with a band of one standard deviation. A second panel shows
     the extra steps of each run as a point, with the mean of each kind.
 
     Args:
+      sweep: the result of `sweep`.
       path: output path without ending; PNG, SVG and PDF are written.
-      runs: kind -> runs -> step -> error in cells; all runs of a kind were validated at the same steps.
-      extra: kind -> extra steps of each run in percent; empty where no episodes were run.
-      caption: description of networks and validation data.
+
+    Returns:
+      The files written.
     """
-    figure = Figure(figsize=(PAGE_WIDTH, 3.4 + 0.17 * len(runs)), layout="constrained")
-    errors, *planner = figure.subplots(1, 1 + bool(extra), squeeze=False, width_ratios=(1.5, 1)[: 1 + bool(extra)])[0]
-    for number, (kind, logs) in enumerate(runs.items()):
+    kinds, episodes = sweep.kinds(), "mean_extra" in sweep.table[0]
+    figure = Figure(figsize=(PAGE_WIDTH, 3.4 + 0.17 * len(kinds)), layout="constrained")
+    errors, *planner = figure.subplots(1, 1 + episodes, squeeze=False, width_ratios=(1.5, 1)[: 1 + episodes])[0]
+    for number, (kind, runs) in enumerate(kinds.items()):
         color, marker = _COLORS[number % len(_COLORS)], _MARKERS[number % len(_MARKERS)]
-        steps = np.array(sorted(logs[0]))
-        curves = np.array([[log[step] for step in steps] for log in logs])
         style = {"color": color, "marker": marker, "linestyle": _LINES[number % len(_LINES)]}
-        draw_band(errors, steps, curves, markersize=4, label=kind, **style)
-        for axes in planner if kind in extra else []:
-            axes.plot(extra[kind], [number] * len(extra[kind]), marker, color=color, markersize=5, alpha=0.7)
-            axes.vlines(float(np.mean(extra[kind])), number - 0.35, number + 0.35, color=color, linewidth=2)
+        draw_band(errors, sweep.steps, sweep.curves[runs], markersize=4, label=kind, **style)
+        for axes in planner:
+            extra = [sweep.table[run]["mean_extra"] for run in runs]
+            axes.plot(extra, [number] * len(extra), marker, color=color, markersize=5, alpha=0.7)
+            axes.vlines(float(np.mean(extra)), number - 0.35, number + 0.35, color=color, linewidth=2)
     errors.set_xlim(0, None)
     errors.set_xlabel("training steps", fontsize=9)
     errors.set_ylabel("validation error (cells)", fontsize=9)
     for axes in planner:
-        axes.set_ylim(len(runs) - 0.4, -0.6)
+        axes.set_ylim(len(kinds) - 0.4, -0.6)
         axes.set_yticks([])
         axes.set_xlabel("extra steps in validation houses (%)\nlines: means", fontsize=9)
     for axes in (errors, *planner):
         plain_axes(axes)
     figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=8)
-    figure.supxlabel(caption, fontsize=8, color="#555555")
-    save_figure(figure, path)
+    figure.supxlabel(sweep.data, fontsize=8, color="#555555")
+    return save_figure(figure, path)
 
 
 def save_learning_curve(

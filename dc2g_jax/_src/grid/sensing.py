@@ -7,7 +7,7 @@ is its parent. Batch axes come last, see `grid.bitboard`.
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -64,18 +64,7 @@ class Kernel:
           opaque: cells that hide what is behind them. This kernel ignores them.
           width: columns of the grid.
         """
-        (n_words, height), n_rows = opaque.shape[:2], 2 * self.radius + 3
-        row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
-        kernel_row = jnp.clip(row - pose.y + self.radius + 1, 0, n_rows - 1) + pose.heading * n_rows
-        word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
-        covered = jnp.zeros(word_start.shape, jnp.uint32)
-        for bounds in _kernel_runs(self):
-            first, last = (
-                jnp.asarray(bound.reshape(-1)).at[kernel_row].get(mode="promise_in_bounds") for bound in bounds
-            )
-            end = jnp.minimum(pose.x + last + 1, width)
-            covered |= _bits_below(end - word_start) & ~_bits_below(pose.x + first - word_start)
-        return covered
+        return covered(pose, self.radius, kernel_runs(self), opaque.shape[0], opaque.shape[1], width)
 
     def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
         """Poses from which at least one target cell is seen, see `visible`."""
@@ -275,7 +264,7 @@ def expanding_kernel(radius: int) -> Kernel:
     return _turned(cells)
 
 
-def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
+def kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
     """The kernel as horizontal runs: arrays of first and last `dx` for each heading and row, `dy = -radius - 1` first.
 
     There are as many arrays as the row with the most runs has. Rows with fewer runs, and the rows beyond the kernel,
@@ -292,6 +281,36 @@ def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
                 runs.append(empty.copy())
             runs[number][:, heading, row] = np.array(bounds) - kernel.radius
     return runs
+
+
+def covered(
+    pose: Pose,
+    radius: int,
+    runs: Iterable[Int[Array | np.ndarray, "bound heading dy"]],
+    n_words: int,
+    height: int,
+    width: int | Int[Array, ""],
+) -> Board:
+    """The in-bounds cells at the offsets of a kernel from a pose.
+
+    Args:
+      pose: pose of the robot.
+      radius: that of the kernel.
+      runs: see `kernel_runs`.
+      n_words: words in a row of the board.
+      height: rows of the grid.
+      width: columns of the grid.
+    """
+    n_rows = 2 * radius + 3
+    row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
+    kernel_row = jnp.clip(row - pose.y + radius + 1, 0, n_rows - 1) + pose.heading * n_rows
+    word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
+    board = jnp.zeros(word_start.shape, jnp.uint32)
+    for bounds in runs:
+        first, last = (jnp.asarray(bound.reshape(-1)).at[kernel_row].get(mode="promise_in_bounds") for bound in bounds)
+        end = jnp.minimum(pose.x + last + 1, width)
+        board |= _bits_below(end - word_start) & ~_bits_below(pose.x + first - word_start)
+    return board
 
 
 def _bits_below(end: Int[Array, "..."]) -> UInt32[Array, "..."]:

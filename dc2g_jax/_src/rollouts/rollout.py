@@ -46,6 +46,9 @@ _DECISIONS_PER_TURN = 32
 #: The action recorded after the end of an episode.
 NO_ACTION = -1
 
+#: Least length of a queue.
+_LEAST_CAPACITY = 512
+
 #: Words of one board of each of an accelerator's robots, in all: those of 65,536 robots on maps of 50 x 50 cells.
 _ACCELERATOR_WORDS = 65536 * 100
 
@@ -416,7 +419,7 @@ def rollout(
         return Trajectories(np.zeros((0, step_limit if keep_actions else 0), np.int8), empty, empty.astype(bool), empty)
     mesh = mesh_of(devices)
     # Rounding up to a power of two lets many numbers of episodes share a compiled program.
-    capacity = 1 << (-(-n_episodes // mesh.size) - 1).bit_length()
+    capacity = max(_LEAST_CAPACITY, 1 << (-(-n_episodes // mesh.size) - 1).bit_length())
     if slots is None:
         slots = _default_slots(planner, worlds, platform(mesh))
     slots = min(slots, capacity)

@@ -3,7 +3,8 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -13,28 +14,19 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt32
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.training.losses import LOSSES, map_loss, named_loss
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.training.losses import LOSSES, Loss, map_loss, named_loss
 from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 
+#: Validation pairs that a network is given at a time.
+_PAIRS_AT_A_TIME = 64
+
 #: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
-
-
-def check_numbers(learning_rate: float, **counts: int) -> None:
-    """Check the learning rate and counts such as the number of steps.
-
-    Raises:
-      InputError: a number is invalid; the message names it.
-    """
-    for name, count in counts.items():
-        if count < 1:
-            raise InputError(f"{name.replace('_', ' ')} {count}: give at least 1")
-    if not 0 < np.float32(learning_rate) < np.inf:
-        raise InputError(f"learning rate {learning_rate}: give a number above 0 that single precision holds")
 
 
 def least_memory(config: "TrainingConfig", height: int, width: int) -> float:
@@ -72,9 +64,10 @@ class TrainingConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_numbers(self.learning_rate, steps=self.steps, batch_size=self.batch_size)
-        if not 0 <= self.seed < 2**32:
-            raise InputError(f"seed {self.seed}: give a whole number from 0 to {2**32 - 1}")
+        check_number("learning rate", float(np.float32(self.learning_rate)), above=0)
+        check_number("steps", self.steps, whole=True, least=1)
+        check_number("batch size", self.batch_size, whole=True, least=1)
+        check_number("seed", self.seed, whole=True, least=0, most=2**32 - 1)
 
     @property
     def parts(self) -> int:
@@ -122,27 +115,12 @@ def _learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
     return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
 
 
-def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
-    """The learning rate of every step."""
-    rates = jax.vmap(_learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
-    return config.learning_rate * np.asarray(rates)
-
-
-def _optimizer(recipe: TrainingConfig, peak: Float[Array, ""] | float) -> optax.GradientTransformation:
-    """AdamW with clipped gradients, for a peak learning rate."""
-    schedule = _learning_rate_schedule(recipe)
-    adamw = optax.adamw(lambda step: peak * schedule(step), weight_decay=recipe.weight_decay)
-    return optax.chain(optax.clip_by_global_norm(1.0), adamw)
-
-
-def first_state(config: TrainingConfig) -> TrainingState:
-    """The state of a run before its first step."""
-    weights = compact_unet.init_weights(config.architecture, jax.random.key(jnp.uint32(config.seed)))
-    return state_of(weights, _optimizer(config.recipe, 1.0), config.average_decay)
-
-
 def mean_loss(
-    recipe: TrainingConfig, loss_weights: Float[Array, "losses"], weights: Any, batch: Pair
+    recipe: TrainingConfig,
+    loss_weights: Float[Array, "losses"],
+    weights: Any,
+    batch: Pair,
+    own_losses: Mapping[str, Loss] = MappingProxyType({}),
 ) -> Float[Array, ""]:
     """Mean over a batch of the weighted sum of each map's losses, in units of the architecture's cost scale."""
     scale = recipe.architecture.cost_scale
@@ -150,7 +128,7 @@ def mean_loss(
     estimate = compact_unet.apply(recipe.architecture, weights, batch.terrain) / scale
 
     def mean(name: str, weight: Float[Array, ""]) -> Float[Array, ""]:
-        of_map = functools.partial(map_loss, named_loss(name), levels=levels)
+        of_map = functools.partial(map_loss, own_losses.get(name) or named_loss(name), levels=levels)
         # A loss of weight 0 must not overflow.
         judged = jnp.where(weight > 0, estimate, 0.0)
         return weight * jnp.mean(jax.vmap(of_map)(judged, batch.target / scale, batch.weight))
@@ -165,19 +143,37 @@ class CostToGoTraining(Supervised):
     Attributes:
       recipe: static part of the configuration, the same for all runs.
       draw_batch: draws pairs.
+      own_losses: names and functions of losses that only this program knows.
     """
 
     recipe: TrainingConfig
     draw_batch: DrawBatch
+    own_losses: tuple[tuple[str, Loss], ...] = ()
+
+    @property
+    def batch_size(self) -> int:
+        """That of the recipe."""
+        return self.recipe.batch_size
 
     @property
     def average_decay(self) -> float:
         """That of the recipe."""
         return self.recipe.average_decay
 
+    def first_state(self, hyperparameters: Hyperparameters) -> TrainingState:
+        """Random weights, of the seed."""
+        weights = compact_unet.init_weights(self.recipe.architecture, jax.random.key(hyperparameters.seed))
+        return state_of(weights, self.optimizer(hyperparameters), self.average_decay)
+
+    def learning_rate(self, hyperparameters: Hyperparameters) -> optax.Schedule:
+        """A linear warm-up, then a cosine decay to zero."""
+        schedule = _learning_rate_schedule(self.recipe)
+        return lambda step: hyperparameters.learning_rate * schedule(step)
+
     def optimizer(self, hyperparameters: Hyperparameters) -> optax.GradientTransformation:
         """AdamW with clipped gradients."""
-        return _optimizer(self.recipe, hyperparameters.learning_rate)
+        adamw = optax.adamw(self.learning_rate(hyperparameters), weight_decay=self.recipe.weight_decay)
+        return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
     def draw(self, data: Any, step: Int[Array, ""], hyperparameters: Hyperparameters) -> Pair:
         """The pairs of a step, which only depend on the seed, the step and the number of parts."""
@@ -191,12 +187,22 @@ class CostToGoTraining(Supervised):
         self, state: TrainingState, batch: Pair, hyperparameters: Hyperparameters
     ) -> tuple[Float[Array, ""], Any]:
         """The mean loss of a batch, and its gradient."""
-        loss = functools.partial(mean_loss, self.recipe, hyperparameters.loss_weights)
+        own = dict(self.own_losses)
+        loss = functools.partial(mean_loss, self.recipe, hyperparameters.loss_weights, own_losses=own)
         return jax.value_and_grad(loss)(state.weights, batch)
 
 
-def mean_error(architecture: Architecture, weights: Any, batch: Pair) -> Float[Array, ""]:
-    """Mean absolute error of the mean outcome, in cells: the weighted mean of each map, averaged over maps."""
-    estimate = jnp.mean(compact_unet.apply(architecture, weights, batch.terrain), axis=-1, keepdims=True)
-    of_map = functools.partial(map_loss, LOSSES["l1"], levels=jnp.array([0.5]))
-    return jnp.mean(jax.vmap(of_map)(estimate, batch.target, batch.weight))
+@functools.partial(jit, static_argnames="architecture")
+def validation_error(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, ""]:
+    """Mean absolute error of the mean outcome on pairs, whose number is a multiple of 64, in cells.
+
+    It is the weighted mean of each map, averaged over maps.
+    """
+
+    def of_chunk(chunk: Pair) -> Float[Array, ""]:
+        estimate = jnp.mean(compact_unet.apply(architecture, weights, chunk.terrain), axis=-1, keepdims=True)
+        of_map = functools.partial(map_loss, LOSSES["l1"], levels=jnp.array([0.5]))
+        return jnp.mean(jax.vmap(of_map)(estimate, chunk.target, chunk.weight))
+
+    chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
+    return jnp.mean(jax.lax.map(of_chunk, chunks))

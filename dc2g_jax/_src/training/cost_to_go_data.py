@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,13 +14,13 @@ import numpy as np
 from jaxtyping import Array, UInt8
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, world_cost_to_go
 from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.label_noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax._src.grid.sampling import sample_grid
-from dc2g_jax._src.grid.sensing import check_sensing_range
+from dc2g_jax._src.grid.sensing import check_sensing_range, field_of_view
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.procedural import procedural_training_houses
@@ -28,11 +29,17 @@ from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds, tell
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.training.cost_to_go import DrawBatch
-from dc2g_jax._src.training.masks import LEADERS, Masks, by_house, collect_masks, leading_planners
+from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
 from dc2g_jax._src.training.pairs import Pair, TrainingSet, draw_pairs
 
 #: Seed of the procedural validation houses. Seeds of training must be below it.
 _VALIDATION_SEED = 10_000
+
+#: Sensing ranges of the robots of the validation pairs, in cells.
+_VALIDATION_RANGES = (5, 8)
+
+#: Least number of worlds that robots are run in: there are copies of the last one.
+_LEAST_WORLDS = 64
 
 #: Worlds per batch in the computation of labels.
 _LABELS_AT_A_TIME = 128
@@ -49,8 +56,10 @@ class DataConfig:
     """Training data of a network.
 
     Attributes:
-      extra_houses: number of procedural houses besides the dataset's training houses.
-      starts_per_house: episodes in each of the dataset's training houses, for each sensing range and leading planner.
+      extra_houses: number of procedural houses besides the dataset's training houses; by default a tenth of the steps,
+        2000 at most.
+      starts_per_house: episodes in each of the dataset's training houses, for each sensing range and leading planner;
+        by default one for every 500 steps, 12 at most.
       starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: number of moments of each episode that become observation masks.
       ranges: sensing ranges, in cells, of the robots that collect the masks.
@@ -64,8 +73,8 @@ class DataConfig:
       data_seed: seed of houses and masks, 0 to 9999.
     """
 
-    extra_houses: int = 2000
-    starts_per_house: int = 12
+    extra_houses: int | None = None
+    starts_per_house: int | None = None
     starts_per_extra_house: int = 1
     masks_per_episode: int = 4
     ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
@@ -78,25 +87,32 @@ class DataConfig:
     data_seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.data_seed < _VALIDATION_SEED:
-            raise InputError(f"data seed {self.data_seed}: give one from 0 to {_VALIDATION_SEED - 1}")
+        check_number("data seed", self.data_seed, whole=True, least=0, most=_VALIDATION_SEED - 1)
         if not self.ranges:
-            raise InputError("no sensing range: give at least one")
-        for reach in self.ranges:
-            check_sensing_range("sensing range", reach)
-        for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
-        if self.extra_houses < 0:
-            raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
-        for name in ("own_share", "whole_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
-        for name in ("edge_weight", "jitter", "map_noise"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise InputError(f"{name} {getattr(self, name)}: give a number from 0 on")
-        if not self.half_weight_cost > 0:
-            raise InputError(f"half_weight_cost {self.half_weight_cost}: give a number above 0, or inf")
+            raise InputError("sensing ranges: give one at least")
+        for sensing_range in self.ranges:
+            check_sensing_range("sensing range", sensing_range)
+        for name, least in (
+            ("extra_houses", 0), ("starts_per_house", 1), ("starts_per_extra_house", 1), ("masks_per_episode", 1),
+        ):  # fmt: skip
+            if getattr(self, name) is not None:
+                check_number(name, getattr(self, name), whole=True, least=least)
+        for name, most in (
+            ("own_share", 1), ("whole_share", 1), ("edge_weight", math.inf), ("jitter", math.inf),
+            ("map_noise", math.inf),
+        ):  # fmt: skip
+            check_number(name, getattr(self, name), least=0, most=most)
+        if self.half_weight_cost != math.inf:
+            check_number("half_weight_cost", self.half_weight_cost, above=0, hint="or inf")
+
+    def for_steps(self, steps: int) -> "DataConfig":
+        """The configuration with the numbers that depend on the steps of the training."""
+        houses, starts = min(2000, steps // 10), min(12, max(1, steps // 500))
+        return dataclasses.replace(
+            self,
+            extra_houses=houses if self.extra_houses is None else self.extra_houses,
+            starts_per_house=starts if self.starts_per_house is None else self.starts_per_house,
+        )
 
     @property
     def draw_batch(self) -> DrawBatch:
@@ -165,7 +181,7 @@ def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[Ho
 def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
     """The dataset's training houses followed by procedural ones of the same size; and the number of the former."""
     own = usable_houses(dataset, "train")
-    return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
+    return _with_drawn(own, "e", config.extra_houses or 0, config.data_seed), len(own)
 
 
 def observation_masks(
@@ -191,24 +207,29 @@ def observation_masks(
     if network is not None:
         config = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
     index = {house.name: number for number, house in enumerate(houses)}
-    worlds = stack_worlds(houses)
+    # As many worlds as in other trainings, and the same ranges: one program.
+    some = max(_LEAST_WORLDS, 1 << (len(houses) - 1).bit_length())
+    worlds = stack_worlds([*houses, *(some - len(houses)) * [houses[-1]]])
+    ranges = tuple(sorted({*config.ranges, *_VALIDATION_RANGES}))
     collected: list[Masks] = []
     for place, sensing_range in enumerate(config.ranges):
-        rules = complete_rules(sensing_range)
+        view, sensing = None, field_of_view(sensing_range)
         if network is None:
-            leaders = leading_planners(rules, *houses[0].terrain.shape, seed=config.data_seed)
+            view = View(jnp.int32(ranges.index(sensing_range)), ranges)
+            leaders, sensing = leading_planners(view, *houses[0].terrain.shape, seed=config.data_seed), view.widest
         else:
-            leaders = [planner_with("dc2g", rules, network)]
+            leaders = [planner_with("dc2g", complete_rules(sensing_range), network)]
         for turn, planner in enumerate(leaders):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
-            starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
+            starts = sample_starts(houses[:n_own], config.starts_per_house or 1, seed=seed)
             starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
             collected.append(
                 collect_masks(
                     planner,
                     worlds,
                     episodes_from(starts, index),
-                    sensing=rules.sensing,
+                    sensing=sensing,
+                    view=view,
                     per_episode=config.masks_per_episode,
                     seed=seed,
                 )
@@ -339,12 +360,13 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
     own = usable_houses(dataset, "val")
     height, width = own[0].terrain.shape
     houses = _with_drawn(own, "v", 32 if height == width else 0, _VALIDATION_SEED)
-    config = DataConfig(ranges=(5, 8), starts_per_house=8)
+    config = DataConfig(ranges=_VALIDATION_RANGES, starts_per_house=8)
     masks = observation_masks(config, houses, len(own), lambda done, total: None)
     data = training_set(houses, len(own), masks)
-    return draw_pairs(
-        jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
+    draw = functools.partial(
+        draw_pairs, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
     )
+    return jit(draw)(jax.random.key(0), data)
 
 
 class Validation:

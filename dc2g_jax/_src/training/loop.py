@@ -1,28 +1,32 @@
-"""The training loop: steps, progress, late fetching of losses, validations and their log, curves, checkpoints."""
+"""The training loop: from configurations, data and a step to networks on disk, for one run or several together."""
 
 import contextlib
 import dataclasses
+import functools
 import json
+import math
+import operator
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
+import optax
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.errors import InputError, check_number
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
-from dc2g_jax._src.rollouts.devices import fetch, in_any_process, settle
-from dc2g_jax._src.training.tracking import Curve, Image, TrackerName
-
-_State = TypeVar("_State")
+from dc2g_jax._src.rollouts.devices import fetch, first_copy, in_any_process, mesh_for_batch, replicate, settle
+from dc2g_jax._src.training.step import Supervised, TrainingState, first_state, placed, stacked, supervised_step
+from dc2g_jax._src.training.tracking import Curve, Image, TrackerName, run_folder
 
 #: Most bytes of a line of the log.
 _LONGEST_LINE = 2**20
@@ -30,51 +34,65 @@ _LONGEST_LINE = 2**20
 #: Steps between pictures for a tracker, which also gets a picture at each validation.
 _STEPS_PER_PICTURE = 500
 
-#: Fields of log lines that are not validation figures.
-_NO_VALIDATION = ("step", "run", "loss")
+#: Validations of a run, unless it is told how often.
+_VALIDATIONS = 6
+
+#: Fields of log lines that are not figures of the validation.
+_NO_FIGURES = ("step", "run", "loss", "steps_left_out")
 
 #: Mean losses of the steps since the last fetch: a scalar for a single run, one per run for several.
-Losses = Float[np.ndarray, "*runs"]
+_Losses = Float[np.ndarray, "*runs"]
+
+
+class Recording(Protocol):
+    """Shows a training, see `viewer.training_recording.TrainingRecording`. It must not change the weights."""
+
+    def look(self, step: int, figures: Mapping[str, float], weights: Any) -> None:
+        """Show loss, learning rate and predictions; predictions alone, without figures, before the first step."""
+        ...
+
+    def validate(self, step: int, figures: Mapping[str, Any], weights: Any) -> None:
+        """Show the results of a validation."""
+        ...
+
+    def close(self) -> None:
+        """Called at the end."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
-class Task(Generic[_State]):
-    """A training task. Its state has an attribute `step`, the number of optimizer steps.
+class Task:
+    """A training of one run, or of several together that only differ in their hyperparameters.
 
     Attributes:
+      training: what is trained.
+      data: what batches are drawn from.
+      runs: the configuration of each run by its name, a dataclass that is saved, with an attribute `hyperparameters` if
+        the runs have any. A training of one run calls it "", and stops if its loss is not finite; runs with names do
+        not.
       steps: total number of optimizer steps.
-      step: `state ->` new state and loss. The old state may be donated. A single run, whose loss is a scalar, stops if
-        its loss is not finite; runs trained together have one loss each and continue.
-      validate: `(state, step, losses) ->` lines of the log, one per run. Called at validations and after the last step;
-        it also saves the network and its card. The losses are `None` before they are first fetched.
-      validated: steps that earlier runs validated. A missing validation of the current step is made up for.
-      watch: called as `watch(state, step, losses)` after each fetch, and once before the first step. It must not change
-        the state.
-      place: puts a state on the devices of the task.
+      validate: `(weights, step) ->` figures of a run.
+      save: `(folder, weights, facts)` saves the network of a run after each validation, with facts for its card.
+      facts: a JSON object of anything else that must be the same to resume the runs.
+      begin_with: weights to begin with; by default those of the training's first state.
+      recording: shows a single run.
+      picture: makes a picture of the predictions with a run's weights, for a tracker.
       name: title of the progress bar.
       steps_per_look: maximum number of steps between fetches of the losses, which wait for the device.
-      runs: names of the runs trained together; empty for a single one.
-      learning_rate: called as `learning_rate(step)`; the learning rate of a step, from 1, or that of each run.
-      pictures: makes a picture of predictions for a tracker, one per run.
     """
 
+    training: Supervised
+    data: Any
+    runs: Mapping[str, Any]
     steps: int
-    step: Callable[[_State], tuple[_State, Array]]
-    validate: Callable[[_State, int, Losses | None], Sequence[Mapping[str, Any]]]
-    validated: Collection[int] = ()
-    watch: Callable[[_State, int, Losses | None], None] = lambda state, step, losses: None
-    place: Callable[[_State], _State] = lambda state: state
+    validate: Callable[[Any, int], Mapping[str, Any]]
+    save: Callable[[Path, Any, dict[str, Any]], object]
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    begin_with: Any = None
+    recording: Recording | None = None
+    picture: Callable[[Any], Image] | None = None
     name: str = "train"
     steps_per_look: int = 50
-    runs: Sequence[str] = ()
-    learning_rate: Callable[[int], npt.ArrayLike] | None = None
-    pictures: Callable[[_State], Sequence[Image]] | None = None
-
-    def figures(self, step: int, losses: Losses) -> list[dict[str, float]]:
-        """Loss and learning rate of a step, for each run."""
-        columns = {"loss": losses} | ({"learning_rate": self.learning_rate(step)} if self.learning_rate else {})
-        each = {name: np.broadcast_to(values, max(1, len(self.runs))).tolist() for name, values in columns.items()}
-        return [dict(zip(each, values, strict=True)) for values in zip(*each.values(), strict=True)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,12 +100,13 @@ class Pauses:
     """When to validate and to save.
 
     Attributes:
-      validate_every: steps between validations; the last step is validated too. 0 for none.
+      validate_every: steps between validations; the last step is validated too. By default a sixth of the steps; 0 for
+        none.
       minutes_per_checkpoint: minutes between checkpoints.
     """
 
-    validate_every: int
-    minutes_per_checkpoint: float = 5.0
+    validate_every: int | None = None
+    minutes_per_checkpoint: float = 2.0
 
     def check_pauses(self) -> None:
         """Check the numbers.
@@ -95,30 +114,94 @@ class Pauses:
         Raises:
           InputError: one of them is negative or NaN.
         """
-        if self.validate_every < 0:
-            raise InputError(f"--validate-every {self.validate_every}: give at least 1, or 0 for none")
-        if not self.minutes_per_checkpoint >= 0:
-            raise InputError(f"--minutes-per-checkpoint {self.minutes_per_checkpoint}: give a number from 0 on")
+        if self.validate_every is not None:
+            check_number("--validate-every", self.validate_every, whole=True, least=0, hint="(0 for none)")
+        check_number("--minutes-per-checkpoint", self.minutes_per_checkpoint, least=0)
+
+    def steps_between(self, steps: int) -> int:
+        """Steps between the validations of a run of `steps`; 0 for none."""
+        return -(-steps // _VALIDATIONS) if self.validate_every is None else self.validate_every
 
     def validates(self, step: int, steps: int) -> bool:
         """Whether there is a validation after `step` of `steps`."""
-        return step == steps or (self.validate_every > 0 and step > 0 and step % self.validate_every == 0)
+        every = self.steps_between(steps)
+        return step == steps or (every > 0 and step > 0 and step % every == 0)
 
 
-class Checkpoints(Protocol):
-    """Storage of training states, see `estimation.checkpoints.TrainingCheckpoints`."""
+#: When a training validates and saves unless it is told.
+PAUSES = Pauses()
+
+
+def fetched_runs(states: Any) -> list[Any]:
+    """The tree of each of several stacked runs, as NumPy arrays."""
+    whole = jax.tree.map(fetch, states)
+    return [jax.tree.map(operator.itemgetter(run), whole) for run in range(len(jax.tree.leaves(whole)[0]))]
+
+
+def steps_left_out(states: TrainingState) -> list[int]:
+    """Number of skipped steps of each run, in which the loss or the weights would not have been finite."""
+    counts = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
+    return np.atleast_1d(fetch(states.step) - fetch(counts[0][1])).tolist() if counts else []
+
+
+class RunStates:
+    """Training states on disk, those of each run in its own folder; several runs are stacked.
+
+    Args:
+      task: the runs.
+      out: folder of the training.
+
+    Raises:
+      InputError: a folder holds a run of another configuration.
+    """
+
+    def __init__(self, task: Task, out: Path):
+        begin = functools.partial(_begun, task)
+        self._of_runs = [
+            TrainingCheckpoints(run_folder(out, run), config, task.facts, first_state=begin)
+            for run, config in task.runs.items()
+        ]
 
     def restore(self) -> Any:
-        """The newest state, or the first if none is saved."""
-        ...
+        """The states of the newest step that all runs have, or the first if there is none."""
+        common = set.intersection(*(set(checkpoints.steps()) for checkpoints in self._of_runs))
+        if not common:
+            for checkpoints in self._of_runs:
+                checkpoints.delete()
+        return _together([checkpoints.restore(max(common, default=None)) for checkpoints in self._of_runs])
 
     def save(self, state: Any) -> None:
-        """Save a state."""
-        ...
+        """Save the state of each run."""
+        for checkpoints, one in zip(self._of_runs, _each_run(state), strict=True):
+            checkpoints.save(one)
 
     def close(self) -> None:
-        """Release the folder."""
-        ...
+        """Release the folders."""
+        for checkpoints in self._of_runs:
+            checkpoints.close()
+
+
+def _begun(task: Task, config: Any) -> TrainingState:
+    """The state of a run before its first step."""
+    state = first_state(_hyperparameters(config), training=task.training)
+    if task.begin_with is None:
+        return state
+    fresh = [jax.tree.map(jnp.array, task.begin_with) for _ in range(2)]  # steps donate their buffers
+    return dataclasses.replace(state, weights=fresh[0], average=None if state.average is None else fresh[1])
+
+
+def _hyperparameters(config: Any) -> Any:
+    return getattr(config, "hyperparameters", None)
+
+
+def _together(runs: list[Any]) -> Any:
+    """Trees of several runs stacked, or the only one as it is: a stack of one would be copied at every step."""
+    return stacked(runs) if len(runs) > 1 else runs[0]
+
+
+def _each_run(state: Any, part: Callable[[Any], Any] = lambda state: state) -> list[Any]:
+    """A part of the state of each run."""
+    return fetched_runs(part(state)) if state.step.ndim else [first_copy(part(state))]
 
 
 class Log:
@@ -194,9 +277,7 @@ def _interrupts_noted() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _take_steps(
-    state: _State, count: int, take_step: Callable[[_State], tuple[_State, Array]]
-) -> tuple[_State, list[Array], bool]:
+def _take_steps(state: Any, count: int, take_step: Callable[[Any], tuple[Any, Array]]) -> tuple[Any, list[Array], bool]:
     """Take up to `count` steps. Returns the state, the losses, and whether Ctrl-C was pressed."""
     losses: list[Array] = []
     several = jax.process_count() > 1  # all take the same steps
@@ -213,66 +294,104 @@ def _is_used_up(state: Any) -> bool:
     return any(isinstance(leaf, jax.Array) and leaf.is_deleted() for leaf in jax.tree.leaves(state))
 
 
-def _steps_to_next_stop(task: Task[Any], pauses: Pauses, step: int) -> int:
+def _steps_to_next_stop(task: Task, pauses: Pauses, step: int) -> int:
     """Number of steps until the next fetch, validation or end."""
     waits = [task.steps - step, task.steps_per_look - step % task.steps_per_look]
-    if pauses.validate_every:
-        waits.append(pauses.validate_every - step % pauses.validate_every)
+    if every := pauses.steps_between(task.steps):
+        waits.append(every - step % every)
     return min(waits)
 
 
-def _check_finite(losses: Losses, step: int, out: Path) -> None:
-    """Stop a single run whose loss is not finite.
+def _check_finite(losses: _Losses, step: int, out: Path) -> None:
+    """Stop a run whose loss is not finite.
 
     Raises:
       InputError: it is not.
     """
-    if losses.ndim == 0 and not np.isfinite(losses):
+    if not np.isfinite(losses):
         raise InputError(
             f"{out}: the loss is {losses} at step {step}; lower --learning-rate and give another --out (the last "
             "checkpoint before it is kept)"
         )
 
 
-def fit(
-    task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pauses, track: TrackerName | None = None
-) -> _State:
-    """Train to the end from the newest checkpoint. Saves checkpoints regularly, at the end, and at Ctrl-C.
+def _line(run: str | None, step: int, loss: float | None, figures: Mapping[str, Any]) -> dict[str, Any]:
+    """A line of the log."""
+    known = None if loss is None or not math.isfinite(loss) else float(f"{loss:.6g}")
+    return ({"run": run} if run else {}) | {"step": step, "loss": known, **figures}
+
+
+def _figures(line: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a validation, from its line."""
+    return {name: value for name, value in line.items() if name not in _NO_FIGURES}
+
+
+def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None) -> list[Any]:
+    """Train to the end from the newest checkpoints, on all devices.
+
+    Writes to the folder `log.jsonl` and `curve.csv`; and to that of each run its configuration, its checkpoints,
+    regularly, at the end and at Ctrl-C, and what `task.save` writes.
 
     Args:
       task: the training task.
-      out: folder of the log and the curves.
-      checkpoints: storage of the states; closed at the end.
+      out: folder of the training; each of several runs has its own in `runs`.
       pauses: when to validate and to save.
       track: tracker to send the curves to.
 
     Returns:
-      The last state.
+      The trained weights of each run.
 
     Raises:
-      InputError: the newest checkpoint is damaged, or the loss of a single run is not finite. Checkpoints are kept.
+      InputError: a folder holds a run of another configuration, the newest checkpoint is damaged, or the loss of a
+        single run is not finite. Checkpoints are kept.
     """
-    losses: Losses | None = None
+    alone, log, mesh = "" in task.runs, Log(out), mesh_for_batch(task.training.batch_size, len(task.runs))
+    names = [run or None for run in task.runs]
+    numbers = _together([_hyperparameters(config) for config in task.runs.values()])
+    data, numbers = replicate((task.data, numbers), mesh)
+    take_step = functools.partial(
+        supervised_step, data=data, hyperparameters=numbers, training=task.training, mesh=mesh
+    )
+    losses: _Losses | None = None
     saved, last_save = -1, time.monotonic()
+
+    def trained() -> list[Any]:
+        return _each_run(state, lambda state: state.trained)
+
+    def save_networks(weights: Sequence[Any], figures: Sequence[Mapping[str, Any]]) -> None:
+        for run, one, of_run in zip(task.runs, weights, figures, strict=True):
+            task.save(run_folder(out, run), one, {"steps": step, "validation": dict(of_run)})
 
     def validate() -> None:
         bar.set_description("validate")
-        lines = task.validate(state, step, losses)
-        Log(out).write(*lines)
-        if lines:
-            figures = [{name: line[name] for name in line if name not in _NO_VALIDATION} for line in lines]
-            curve.add(step, figures, "validation/")
-        if len(lines) == 1:
+        weights = trained()
+        figures = [task.validate(one, step) for one in weights]
+        save_networks(weights, figures)
+        each = [None] * len(names) if losses is None else np.atleast_1d(losses).tolist()
+        lines = [_line(run, step, loss, of_run) for run, loss, of_run in zip(names, each, figures, strict=True)]
+        if not alone and (left_out := steps_left_out(state)):
+            lines = [line | {"steps_left_out": count} for line, count in zip(lines, left_out, strict=True)]
+        log.write(*lines)
+        curve.add(step, figures, "validation/")
+        if alone:
             tqdm.write(json.dumps(lines[0]), file=sys.stderr)
+        if task.recording is not None:
+            task.recording.validate(step, figures[0], weights[0])
         bar.set_description(task.name)
 
     def look() -> None:
-        task.watch(state, step, losses)
+        figures: list[dict[str, float]] = [{} for _ in names]
         if losses is not None:
-            curve.add(step, task.figures(step, losses))
-        if track and task.pictures and (step % _STEPS_PER_PICTURE == 0 or pauses.validates(step, task.steps)):
+            columns = {"loss": losses, "learning_rate": fetch(task.training.learning_rate(numbers)(step - 1))}
+            for name, values in columns.items():
+                for own, value in zip(figures, np.broadcast_to(values, len(names)).tolist(), strict=True):
+                    own[name] = value
+            curve.add(step, figures)
+        if task.recording is not None:
+            task.recording.look(step, figures[0], trained()[0])
+        if track and task.picture and (step % _STEPS_PER_PICTURE == 0 or pauses.validates(step, task.steps)):
             # All processes make them, since they fetch the state together.
-            curve.show(step, "cost-to-go", task.pictures(state))
+            curve.show(step, "cost-to-go", [task.picture(weights) for weights in trained()])
 
     def save() -> None:
         nonlocal saved, last_save
@@ -283,24 +402,33 @@ def fit(
         if noted:
             raise KeyboardInterrupt
 
-    with contextlib.closing(checkpoints), contextlib.closing(Curve(out, task.runs, track)) as curve:
-        state: Any = task.place(checkpoints.restore())
+    with (
+        contextlib.closing(task.recording) if task.recording else contextlib.nullcontext(),
+        contextlib.closing(RunStates(task, out)) as checkpoints,
+        contextlib.closing(Curve(out, tuple(filter(None, names)), track)) as curve,
+    ):
+        state: Any = placed(checkpoints.restore(), mesh)
         step = int(np.max(fetch(state.step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:
             try:
-                if step not in task.validated and pauses.validates(step, task.steps):
-                    validate()
+                if pauses.validates(step, task.steps):
+                    lines = [log.by_step(run).get(step) for run in names]
+                    if all(lines):  # the networks may be gone
+                        save_networks(trained(), [_figures(line) for line in lines if line])
+                    else:
+                        validate()
                 if step < task.steps:
                     look()
                 while step < task.steps:
                     count = _steps_to_next_stop(task, pauses, step)
-                    state, each, interrupted = _take_steps(state, count, task.step)
+                    state, each, interrupted = _take_steps(state, count, take_step)
                     if each:
                         losses = np.asarray(np.mean([np.asarray(loss) for loss in each], axis=0))
                         step += len(each)
                         bar.set_postfix(loss=f"{np.mean(losses):.4f}", refresh=False)
                         bar.update(len(each))
-                        _check_finite(losses, step, out)
+                        if alone:
+                            _check_finite(losses, step, out)
                     if in_any_process(interrupted):
                         raise KeyboardInterrupt
                     look()
@@ -315,4 +443,4 @@ def fit(
                 if saved != step and not _is_used_up(state):
                     save()
                 raise
-    return state
+    return trained()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -66,9 +67,15 @@ def named_loss(name: str) -> Loss:
     Raises:
       InputError: the name is unknown, or the loss cannot be called or is not one number for each estimate.
     """
-    if name in LOSSES:
-        return LOSSES[name]
-    loss = own_part("loss", name, LOSSES)
+    return LOSSES[name] if name in LOSSES else checked_loss(name, own_part("loss", name, LOSSES))
+
+
+def checked_loss(name: str, loss: Any) -> Loss:
+    """A loss of the user's own.
+
+    Raises:
+      InputError: it cannot be called or is not one number for each estimate.
+    """
     shapes = (2, 3, 5), (2, 3, 1), (5,)
     given = f"arrays of shapes {short(shapes)}"
     remedy = "give a function of estimate, target and levels that returns one number for each estimate"

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import jax
@@ -10,16 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float, Int, Int8, UInt32
+from jaxtyping import Array, Bool, Float, Int, Int8, UInt8, UInt32
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, world_cost_to_go
 from dc2g_jax._src.grid import bitboard, gridworld
-from dc2g_jax._src.grid.poses import Pose
-from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.bitboard import Board
+from dc2g_jax._src.grid.gridworld import Belief, belief_of
+from dc2g_jax._src.grid.poses import HEADINGS, Pose, PoseSet, every_heading
+from dc2g_jax._src.grid.sensing import Kernel, covered, field_of_view, kernel_runs
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import DC2G, Frontier, Planner
-from dc2g_jax._src.planning.rules import Rules
+from dc2g_jax._src.planning.planners import DC2G, Ask, Assessment, Planner
+from dc2g_jax._src.planning.rules import Rules, nearest_goal
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
@@ -40,24 +42,130 @@ def _smooth_noise(rng: np.random.Generator, height: int, width: int) -> Float[np
     return (field - field.mean()) / field.std()
 
 
-def leading_planners(rules: Rules, height: int, width: int, *, seed: int) -> list[Planner]:
+@functools.cache
+def _rings(ranges: tuple[int, ...]) -> tuple[Kernel, ...]:
+    """For each of ascending ranges, the offsets that a robot with the range before it does not see."""
+    kernels = [field_of_view(one).offsets for one in ranges]
+    less = [((),) * HEADINGS, *kernels[:-1]]
+    return tuple(
+        Kernel(radius, tuple(tuple(sorted({*own} - {*inner})) for own, inner in zip(offsets, nearer, strict=True)))
+        for radius, offsets, nearer in zip(ranges, kernels, less, strict=True)
+    )
+
+
+@struct.dataclass
+class View:
+    """The field of view of one of several ranges. Which one is data, so all of them are one program.
+
+    Attributes:
+      number: index of the range.
+      ranges: the ranges, ascending, in cells.
+    """
+
+    number: Int[Array, ""]
+    ranges: tuple[int, ...] = struct.field(pytree_node=False)
+
+    @property
+    def widest(self) -> Kernel:
+        """The field of view of the largest range."""
+        return field_of_view(self.ranges[-1])
+
+    @property
+    def offsets(self) -> tuple[tuple[tuple[int, int], ...], ...]:
+        """Those of the largest range."""
+        return self.widest.offsets
+
+    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
+        """See `grid.sensing.Kernel.visible`."""
+        radius = self.widest.radius
+        tables = [kernel_runs(Kernel(radius, field_of_view(one).offsets)) for one in self.ranges]
+        runs = jnp.asarray(np.array(tables))[self.number]
+        return covered(pose, radius, runs, opaque.shape[0], opaque.shape[1], width)
+
+    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
+        """See `grid.sensing.Kernel.poses_that_see`."""
+        seeing = [ring.poses_that_see(targets, opaque) for ring in _rings(self.ranges)]
+        within = [jnp.where(index <= self.number, poses, 0) for index, poses in enumerate(seeing)]
+        return functools.reduce(jnp.bitwise_or, within)
+
+
+@struct.dataclass
+class _Guess(Estimator):
+    """The exact cost-to-go times an error; or the same cost everywhere, so that the nearest subgoal wins."""
+
+    log_error: Float[Array, "h w"]
+    informed: Bool[Array, ""]
+
+    def init(self, world: World) -> Float[Array, "h w *batch"]:
+        """The cost-to-go of the whole map."""
+        return world_cost_to_go(world)
+
+    def estimate(
+        self, terrain: UInt8[Array, "h w *batch"], state: Float[Array, "h w *batch"]
+    ) -> Float[Array, "1 h w *batch"]:
+        """The values of the whole map."""
+        costs = ExactCostToGo(self.log_error).estimate(terrain, state)
+        return jnp.where(self.informed, costs, 0.0)
+
+
+@struct.dataclass
+class _Leader(Planner):
+    """Explores with the field of view of one of several ranges, led by a guess of the cost-to-go.
+
+    The rollout's field of view must be the widest. The planner keeps the cells that its robot has seen itself.
+    """
+
+    guess: _Guess
+    view: View
+    batch_per_core: ClassVar[int] = DC2G.batch_per_core
+
+    @property
+    def _planner(self) -> DC2G:
+        sensing: Any = self.view
+        # DC2G only takes poses that reveal something, and these are the poses of the complete rules.
+        return DC2G(self.guess, Rules(sensing, lambda _, reachable: every_heading(reachable), nearest_goal))
+
+    def _own(self, belief: Belief, state: Any) -> tuple[Belief, Any]:
+        """What the robot knows with its own field of view, and the state of the planner."""
+        seen, planner_state = state
+        seen = seen | self.view.visible(belief.pose, belief.opaque, belief.width)
+        return belief_of(belief, belief.pose, belief.steps, seen), planner_state
+
+    def init(self, world: World) -> tuple[Board, Any]:
+        """Nothing has been seen."""
+        return jnp.zeros_like(world.traversable), self._planner.init(world)
+
+    def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
+        """As `DC2G` does."""
+        return self._planner.look(*self._own(belief, state))
+
+    def ask(self, belief: Belief, state: Any) -> Float[Array, "h w *batch"]:
+        """As `DC2G` does."""
+        return self._planner.ask(*self._own(belief, state))
+
+    def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
+        """As `DC2G` does."""
+        own, planner_state = self._own(belief, state)
+        assessment, planner_state = self._planner.conclude(own, planner_state, looked, lambda *_: ask(belief, state))
+        return assessment, (own.seen, planner_state)
+
+
+def leading_planners(view: View, height: int, width: int, *, seed: int) -> list[Planner]:
     """Planners whose robots explore about as well as those that will use the network, in diverse ways.
 
     These are frontier exploration, and DC2G with the exact cost-to-go times smooth log-normal errors of increasing
-    size.
+    size. They are one program, for all ranges of the view, whose widest is the field of view of the rollout.
 
     Args:
-      rules: rules of the planners.
+      view: field of view of the robots.
       height: rows of the maps.
       width: columns of the maps.
       seed: seed of the errors.
     """
-    rng = np.random.default_rng([seed, rules.sensing.radius])
-    errors = [jnp.asarray(noise * _smooth_noise(rng, height, width)) for noise in _NOISE]
-    return [
-        Frontier(rules=rules),
-        *(DC2G(estimator=ExactCostToGo(log_error=error), rules=rules) for error in errors),
-    ]
+    rng = np.random.default_rng([seed, view.ranges[int(view.number)]])
+    errors = [noise * _smooth_noise(rng, height, width) for noise in _NOISE]
+    guesses = [(np.zeros((height, width), np.float32), False), *((error, True) for error in errors)]
+    return [_Leader(_Guess(jnp.asarray(error), jnp.asarray(informed)), view) for error, informed in guesses]
 
 
 class Masks(NamedTuple):
@@ -86,7 +194,7 @@ class Moments:
 
 
 def moments_along(
-    world: World, start: Pose, actions: Int8[Array, "t"], times: Int[Array, "k"], *, sensing: Kernel
+    world: World, start: Pose, actions: Int8[Array, "t"], times: Int[Array, "k"], *, sensing: Kernel | View
 ) -> Moments:
     """The cells that a robot that takes `actions` from `start` has seen after `times[k]` actions.
 
@@ -122,19 +230,20 @@ def moments_along(
 def _moments(
     dealt: tuple[Episodes, Int8[Array, "devices own t"], Int[Array, "devices own k"]],
     worlds: World,
+    view: View | None,
     *,
     mesh: Mesh,
     sensing: Kernel,
 ) -> Moments:
     """What was seen in episodes, from their actions, at some of their moments."""
 
-    def own(part: tuple[Episodes, Array, Array], worlds: World) -> Moments:
+    def own(part: tuple[Episodes, Array, Array], worlds: World, view: View | None) -> Moments:
         episodes, actions, times = part
         own_worlds = jax.tree.map(lambda leaf: leaf[..., episodes.world], worlds)
-        along = jax.vmap(functools.partial(moments_along, sensing=sensing), in_axes=(-1, 0, 0, 0))
+        along = jax.vmap(functools.partial(moments_along, sensing=view or sensing), in_axes=(-1, 0, 0, 0))
         return along(own_worlds, episodes.start, actions, times)
 
-    return on_each(own, mesh, dealt, worlds)
+    return on_each(own, mesh, dealt, worlds, view)
 
 
 def collect_masks(
@@ -145,6 +254,7 @@ def collect_masks(
     sensing: Kernel,
     per_episode: int,
     seed: int,
+    view: View | None = None,
     step_limit: int = 300,
 ) -> Masks:
     """Run a planner and collect the observed cells of its robots at random moments without a reachable goal.
@@ -156,6 +266,7 @@ def collect_masks(
       sensing: field of view of the robots.
       per_episode: moments sampled from each episode; those with a reachable goal are dropped.
       seed: seed of the moments.
+      view: field of view of planners which have their own, see `leading_planners`; `None` for `sensing`.
       step_limit: actions after which an episode ends.
     """
     done = rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit)
@@ -168,7 +279,7 @@ def collect_masks(
         part = np.minimum(np.arange(first, first + _EPISODES_PER_CALL), len(episodes) - 1)
         some = jax.tree.map(lambda leaf, part=part: leaf[part], episodes)
         dealt = deal((some, done.actions[part], times[part]), len(part), mesh)
-        moments = gather(_moments(dealt, worlds, mesh=mesh, sensing=sensing), len(part))
+        moments = gather(_moments(dealt, worlds, view, mesh=mesh, sensing=sensing), len(part))
         keep = moments.exploring & (np.arange(first, first + len(part)) < len(episodes))[:, None]
         boards.append(moments.seen[keep])
         owners.append(np.broadcast_to(np.asarray(some.world)[:, None], keep.shape)[keep])

@@ -46,9 +46,22 @@ class Supervised(Protocol):
     """
 
     @property
+    def batch_size(self) -> int:
+        """Examples per step."""
+        ...
+
+    @property
     def average_decay(self) -> float:
         """Decay of the running average of the weights; 0 for none."""
         return 0.0
+
+    def first_state(self, hyperparameters: Any) -> TrainingState:
+        """The state before the first step, see `state_of`."""
+        ...
+
+    def learning_rate(self, hyperparameters: Any) -> optax.Schedule:
+        """`step ->` learning rate, from step 0, of a run or of each of several stacked ones."""
+        ...
 
     def optimizer(self, hyperparameters: Any) -> optax.GradientTransformation:
         """The optimizer with its learning rate. Its initial state must not depend on the hyperparameters."""
@@ -67,6 +80,12 @@ def state_of(weights: Any, optimizer: optax.GradientTransformation, average_deca
     """The state before the first step; without an average of the weights if its decay is 0."""
     average = jax.tree.map(jnp.array, weights) if average_decay else None
     return TrainingState(step=jnp.int32(0), weights=weights, average=average, optimizer=optimizer.init(weights))
+
+
+@functools.partial(jit, static_argnames="training")
+def first_state(hyperparameters: Any, *, training: Supervised) -> TrainingState:
+    """The state of a run before its first step."""
+    return training.first_state(hyperparameters)
 
 
 def placed(state: TrainingState, mesh: Mesh) -> TrainingState:

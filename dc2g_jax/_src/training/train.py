@@ -1,18 +1,15 @@
 """Train a network from start to end: collect observation masks, train, validate, save, and evaluate."""
 
-import contextlib
 import dataclasses
-import functools
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, network_in_folder, save_network
+from dc2g_jax._src.errors import InputError, check_name, check_number
+from dc2g_jax._src.estimation.checkpoints import CARD, keep_config, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import local_folder
@@ -20,63 +17,28 @@ from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.rollouts.devices import require_memory
 from dc2g_jax._src.rollouts.evaluation import evaluate
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import Results
-from dc2g_jax._src.training import loop
-from dc2g_jax._src.training.cost_to_go import (
-    CostToGoTraining,
-    TrainingConfig,
-    first_state,
-    learning_rates,
-    least_memory,
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, least_memory, validation_error
+from dc2g_jax._src.training.cost_to_go_data import (
+    DataConfig,
+    Validation,
+    check_houses,
+    open_training_set,
+    validation_pairs,
 )
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, open_training_set
-from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task
-from dc2g_jax._src.training.losses import losses_as_text
-from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
-from dc2g_jax._src.training.tracking import Image, TrackerName
+from dc2g_jax._src.training.loop import PAUSES, Pauses, Recording, Task, fit
+from dc2g_jax._src.training.losses import Loss, losses_as_text, named_loss
+from dc2g_jax._src.training.pairs import Pair, TrainingSet
+from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
-#: When a training validates and saves unless it is told.
-PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)
+#: Steps between episodes in validation houses, and number of validation pairs.
+EPISODES_EVERY, PAIRS = 16_000, 512
 
-
-class Recording(Protocol):
-    """Shows a training, see `viewer.training_recording.TrainingRecording`."""
-
-    def look(self, step: int, loss: float | None, network: NetworkCostToGo) -> None:
-        """Show a loss, and predictions; predictions alone before the first step."""
-        ...
-
-    def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
-        """Show the results of a validation."""
-        ...
-
-    def close(self) -> None:
-        """Called at the end."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class Watching:
-    """What shows a training. It does not affect it.
-
-    Attributes:
-      recording: gets losses, predictions and validations.
-      picture: makes a picture of a network's predictions for a tracker.
-      track: tracker to send curves and pictures to.
-      card: further facts for the card of the network, such as the command.
-    """
-
-    recording: Recording | None = None
-    picture: Callable[[NetworkCostToGo], Image] | None = None
-    track: TrackerName | None = None
-    card: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-
-
-#: Called when everything has been checked and nothing is written yet: `(dataset, config, network to begin with)`.
-Begin = Callable[[HouseDataset, TrainingConfig, NetworkCostToGo | None], Watching]
+#: Makes a picture of a network's predictions for a tracker.
+Picture = Callable[[NetworkCostToGo], Image]
 
 
 class Trained(NamedTuple):
@@ -89,6 +51,179 @@ class Trained(NamedTuple):
 
     network: NetworkCostToGo
     results: Results | None
+
+
+class Plan(NamedTuple):
+    """A checked training of cost-to-go networks.
+
+    Attributes:
+      dataset: the houses.
+      runs: the configuration of each run by its name, for maps of the dataset's size.
+      data: houses and masks.
+      own_losses: losses that only this program knows, by their names in the configurations.
+      after: place of the network that the runs begin with.
+    """
+
+    dataset: HouseDataset
+    runs: Mapping[str, TrainingConfig]
+    data: DataConfig
+    own_losses: Mapping[str, Loss]
+    after: str | None = None
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What must be the same to resume the runs, beside their configurations."""
+        return {
+            "data": dataclasses.asdict(self.data),
+            "after": self.after,
+            "dataset": self.dataset.name,
+            "parts": self.recipe.parts,
+        }
+
+    @property
+    def recipe(self) -> TrainingConfig:
+        """What the runs have in common."""
+        return next(iter(self.runs.values()))
+
+
+def checked(
+    dataset: HouseDataset | str | os.PathLike[str] | None,
+    runs: Mapping[str, TrainingConfig],
+    *,
+    data: DataConfig | None,
+    pauses: Pauses,
+    split: str | None,
+    track: TrackerName | None,
+    validated: bool,
+    drawn: bool = False,
+    own_losses: Mapping[str, Loss] | None = None,
+    at_once: int = 1,
+) -> Plan:
+    """Check all names, numbers and houses of a training, before anything is written or computed.
+
+    Args:
+      dataset: see `train`.
+      runs: the configuration of each run.
+      data: see `train`.
+      pauses: see `train`.
+      split: see `train`.
+      track: see `train`.
+      validated: whether the dataset's validation houses are used.
+      drawn: whether episodes are run in procedural validation houses.
+      own_losses: losses that only this program knows.
+      at_once: number of runs that are trained together.
+
+    Raises:
+      InputError: something is invalid.
+    """
+    own_losses = own_losses or {}
+    pauses.check_pauses()
+    check_tracker(track)
+    if split is not None:
+        check_name("split", split, ("train", "val", "test"))
+    for name in dict.fromkeys(name for config in runs.values() for name, _ in config.losses):
+        if name not in own_losses:
+            named_loss(name)
+    if not isinstance(dataset, HouseDataset):
+        dataset = open_dataset(dataset)
+    shape = dataset.houses[0].terrain.shape
+    sized = {
+        run: dataclasses.replace(config, architecture=dataclasses.replace(config.architecture, side=max(shape)))
+        for run, config in runs.items()
+    }
+    for architecture in dict.fromkeys(config.architecture for config in sized.values()):
+        check_network(architecture)
+    config = max(sized.values(), key=lambda config: least_memory(config, *shape))
+    needed = min(at_once, len(runs)) * least_memory(config, *shape)
+    require_memory(needed, f"--batch-size {config.batch_size}" + f" or --runs-at-once {at_once}" * (at_once > 1))
+    data = (data or DataConfig()).for_steps(config.steps)
+    check_houses(dataset, extra=data.extra_houses or 0, drawn=drawn, validated=validated)
+    if split is not None:
+        usable_houses(dataset, split, instead="use another split")
+    return Plan(dataset, sized, data, own_losses)
+
+
+def train_runs(
+    out: Path,
+    plan: Plan,
+    data: TrainingSet,
+    validate: Callable[[NetworkCostToGo, int], Mapping[str, Any]],
+    *,
+    card: Mapping[str, Any],
+    pauses: Pauses,
+    track: TrackerName | None,
+    picture: Picture | None,
+    **options: Any,
+) -> list[NetworkCostToGo]:
+    """Train the networks of a plan, together if there are several, and save them at each validation.
+
+    Args:
+      out: folder of the training.
+      plan: the runs, which only differ in hyperparameters.
+      data: what batches are drawn from.
+      validate: `(network, step) ->` figures.
+      card: further facts for the card of each network.
+      pauses: when to validate and to save.
+      track: tracker to send curves and pictures to.
+      picture: makes pictures for a tracker.
+      **options: further attributes of the `Task`.
+    """
+    recipe = plan.recipe.recipe
+
+    def network_of(weights: Any) -> NetworkCostToGo:
+        return NetworkCostToGo(weights=weights, architecture=recipe.architecture)
+
+    def save(folder: Path, weights: Any, figures: dict[str, Any]) -> None:
+        config = next(config for run, config in plan.runs.items() if run_folder(out, run) == folder)
+        made = {
+            "data": f"{plan.dataset.name}, training split, and {plan.data.extra_houses} procedural houses (seed "
+            f"{plan.data.data_seed})",
+            "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, plan.data.ranges))} cells",
+            "target": "4-connected cost-to-go in cells",
+            "loss": losses_as_text([(name, weight) for name, weight in config.losses if weight]),
+            "learning_rate": config.learning_rate,
+            "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
+            "seed": config.seed,
+        }
+        save_network(folder / "network", network_of(weights), {**made, **card, **figures})
+
+    task = Task(
+        training=CostToGoTraining(recipe, plan.data.draw_batch, tuple(plan.own_losses.items())),
+        data=data,
+        runs=plan.runs,
+        steps=recipe.steps,
+        validate=lambda weights, step: validate(network_of(weights), step),
+        save=save,
+        facts=plan.facts,
+        picture=None if picture is None else lambda weights: picture(network_of(weights)),
+        **options,
+    )
+    return [network_of(weights) for weights in fit(task, out, pauses, track)]
+
+
+def pairs_to_validate(plan: Plan) -> Pair:
+    """The validation pairs of a training."""
+    return validation_pairs(plan.dataset, count=PAIRS, edge_weight=plan.data.edge_weight)
+
+
+def error_on(pairs: Pair, network: NetworkCostToGo) -> float:
+    """Mean error of a network on validation pairs, in cells."""
+    return round(float(validation_error(network.architecture, network.weights, pairs)), 4)
+
+
+def finished_network(out: Path, plan: Plan, run: str) -> NetworkCostToGo | None:
+    """The network of a run that has taken all its steps; `None` before that, when its configuration is saved.
+
+    Raises:
+      InputError: the folder holds a run of another configuration.
+    """
+    folder, config = run_folder(out, run), plan.runs[run]
+    keep_config(folder, config, plan.facts)
+    path = folder / "network"
+    if not (path / CARD).exists() or read_object(path / CARD, "delete it to save it anew").get("steps") != config.steps:
+        return None
+    network = network_in_folder(path)
+    return network if isinstance(network, NetworkCostToGo) else None
 
 
 def _network_to_begin_with(
@@ -109,6 +244,36 @@ def _network_to_begin_with(
     return network, read_object(folder / CARD, "give another network")
 
 
+def check_training(
+    dataset: HouseDataset | str | os.PathLike[str] | None = None,
+    *,
+    config: TrainingConfig | None = None,
+    data: DataConfig | None = None,
+    pauses: Pauses = PAUSES,
+    episodes_every: int = EPISODES_EVERY,
+    after: str | os.PathLike[str] | None = None,
+    split: str | None = "val",
+    track: TrackerName | None = None,
+) -> tuple[Plan, NetworkCostToGo | None, dict[str, Any]]:
+    """Check the arguments of `train`, without computing or writing anything.
+
+    Returns:
+      The plan of the only run; and the network to begin with, if any, with its card.
+
+    Raises:
+      InputError: see `train`.
+    """
+    config = config or TrainingConfig()
+    check_number("--episodes-every", episodes_every, whole=True, least=0, hint="steps (0 for none)")
+    validated = pauses.steps_between(config.steps) > 0
+    plan = checked(
+        dataset, {"": config}, data=data, pauses=pauses, split=split, track=track, validated=validated,
+        drawn=validated and 0 < episodes_every <= config.steps,
+    )  # fmt: skip
+    network, before = (None, {}) if after is None else _network_to_begin_with(after, plan.recipe.architecture)
+    return plan._replace(after=None if after is None else str(after)), network, before
+
+
 def train(
     out: str | os.PathLike[str],
     dataset: HouseDataset | str | os.PathLike[str] | None = None,
@@ -116,14 +281,18 @@ def train(
     config: TrainingConfig | None = None,
     data: DataConfig | None = None,
     pauses: Pauses = PAUSES,
+    episodes_every: int = EPISODES_EVERY,
     after: str | os.PathLike[str] | None = None,
     split: str | None = "val",
-    begin: Begin = lambda dataset, config, network: Watching(),
+    track: TrackerName | None = None,
+    recording: Recording | None = None,
+    picture: Picture | None = None,
+    card: Mapping[str, Any] | None = None,
 ) -> Trained:
     """Train a cost-to-go network with pairs of partial maps and exact cost-to-go (Algorithm 1), and evaluate it.
 
     Masks, checkpoints, log, curve and network are written to the folder. A training that stopped goes on from its last
-    checkpoint; one that is finished is evaluated only. `dc2g train` is a call of this function.
+    checkpoint; one that is finished is evaluated only. `dc2g train` is a call of this function; `sweep` trains many.
 
     ```
     trained = dc2g_jax.train("checkpoints/mine", "procedural", config=dc2g_jax.TrainingConfig(steps=2000))
@@ -135,13 +304,18 @@ def train(
       dataset: houses, a folder of them, or a name such as `procedural`; `None` for the published ones, see
         `open_dataset`.
       config: network, losses and steps. The side of its architecture becomes that of the dataset's maps.
-      data: houses and masks.
-      pauses: when to validate and to save.
+      data: houses and masks; by default fewer for fewer steps.
+      pauses: when to validate, on pairs of validation houses, and to save; by default six times, and every two
+        minutes.
+      episodes_every: steps between validations that also run episodes in validation houses; 0 for none.
       after: folder of a trained network, or hf://owner/name, to begin with. Masks of robots that it leads are added to
         the others (DAgger).
       split: split of the houses to evaluate in at the end, ten starts in each: `train`, `val` or `test`; `None` for no
         evaluation.
-      begin: see `Begin`; returns what shows the training.
+      track: tracker to send curves and pictures to: `tensorboard`, `wandb` or `trackio`.
+      recording: shows the training, such as `dc2g_jax._src.viewer.training_recording.TrainingRecording`.
+      picture: makes the pictures for the tracker.
+      card: further facts for the card of the network.
 
     Raises:
       InputError: a setting is invalid, the dataset cannot be trained on, or the folder holds a training with other
@@ -149,98 +323,29 @@ def train(
     """
     keep_compiled_programs()
     out = Path(out)
-    pauses.check_pauses()
-    if not isinstance(dataset, HouseDataset):
-        dataset = open_dataset(dataset)
-    config, data, shape = config or TrainingConfig(), data or DataConfig(), dataset.houses[0].terrain.shape
-    config = dataclasses.replace(config, architecture=dataclasses.replace(config.architecture, side=max(shape)))
-    check_network(config.architecture)
-    network, before = (None, None) if after is None else _network_to_begin_with(after, config.architecture)
-    require_memory(least_memory(config, *shape), f"--batch-size {config.batch_size}")
-    check_houses(dataset, extra=data.extra_houses, drawn=pauses.validate_every > 0, validated=pauses.validate_every > 0)
-    if split is not None:
-        usable_houses(dataset, split, instead="use another split")
-    watching = begin(dataset, config, network)
-    facts = {
-        "data": dataclasses.asdict(data),
-        "after": None if after is None else str(after),
-        "dataset": dataset.name,
-        "parts": config.parts,
-    }
-    card = {
-        "data": f"{dataset.name}, training split, and {data.extra_houses} procedural houses (seed {data.data_seed})",
-        "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, data.ranges))} cells"
-        + ("" if before is None else ", and of robots led by the network below"),
-        "target": "4-connected cost-to-go in cells",
-        **({} if before is None else {"after": before}),
-        "loss": losses_as_text(config.losses),
-        "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
-        "seed": config.seed,
-        **watching.card,
-    }
-    with contextlib.closing(watching.recording) if watching.recording else contextlib.nullcontext():
-        begun = functools.partial(_begun, network=network)
-        checkpoints = TrainingCheckpoints(out, config, facts, first_state=begun)
-        task = _task(out, dataset, config, data, pauses, network, card, watching)
-        state = loop.fit(task, out, checkpoints, pauses, watching.track)
-    trained = _network_of(state, config)
-    return Trained(
-        trained, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=trained)
-    )
-
-
-def _begun(config: TrainingConfig, network: NetworkCostToGo | None) -> TrainingState:
-    """The state before the first step, with the weights of `network`, if given."""
-    state = first_state(config)
+    plan, begin_with, before = check_training(
+        dataset, config=config, data=data, pauses=pauses, episodes_every=episodes_every, after=after, split=split,
+        track=track,
+    )  # fmt: skip
+    config, dataset = plan.recipe, plan.dataset
+    network = finished_network(out, plan, "")
     if network is None:
-        return state
-    fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
-    return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
+        validates = pauses.steps_between(config.steps) > 0
+        # These raise for unsuitable houses before minutes of data collection.
+        pairs = pairs_to_validate(plan) if validates else None
+        episodes = None
+        if validates and 0 < episodes_every <= config.steps:
+            episodes = Validation(dataset, progress=EpisodeProgress(leave=False))
 
+        def validate(network: NetworkCostToGo, step: int) -> dict[str, Any]:
+            figures = {} if pairs is None else {"error": error_on(pairs, network)}
+            return figures | (episodes.figures(network) if episodes and step % episodes_every == 0 else {})
 
-def _network_of(state: TrainingState, config: TrainingConfig) -> NetworkCostToGo:
-    return NetworkCostToGo(weights=first_copy(state.trained), architecture=config.architecture)
-
-
-def _task(
-    out: Path,
-    dataset: HouseDataset,
-    config: TrainingConfig,
-    data: DataConfig,
-    pauses: Pauses,
-    network: NetworkCostToGo | None,
-    card: Mapping[str, Any],
-    watching: Watching,
-) -> Task[TrainingState]:
-    """The training task, with masks of robots that `network` leads, if given. Validations save the network's card."""
-    training, hyperparameters = CostToGoTraining(config.recipe, data.draw_batch), config.hyperparameters
-    recording, mesh = watching.recording, mesh_for_batch(config.batch_size)
-    # Raises before minutes of data collection.
-    validation = Validation(dataset, progress=EpisodeProgress(leave=False)) if pauses.validate_every else None
-    pairs = replicate(open_training_set(out, dataset, data, network), mesh)
-    rates, picture = learning_rates(config), watching.picture
-
-    validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
-
-    def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
-        if recording is not None:
-            recording.look(step, None if loss is None else float(loss), _network_of(state, config))
-
-    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        now = _network_of(state, config)
-        figures = validation.figures(now) if validation else {}
-        save_network(out / "network", now, {**card, "steps": step, "validation": figures})
-        if recording is not None:
-            recording.validate(step, figures, now)
-        return [{"step": step, "loss": None if loss is None else round(float(loss), 4), **figures}]
-
-    return Task(
-        steps=config.steps,
-        step=lambda state: supervised_step(state, pairs, hyperparameters, training=training, mesh=mesh),
-        place=functools.partial(placed, mesh=mesh),
-        validate=validate,
-        validated=validated if (out / "network").exists() else (),  # else the network is written again
-        watch=watch,
-        learning_rate=lambda step: rates[step - 1],
-        pictures=None if picture is None else lambda state: [picture(_network_of(state, config))],
+        (network,) = train_runs(
+            out, plan, open_training_set(out, dataset, plan.data, begin_with), validate,
+            card={**({"after": before} if before else {}), **(card or {})}, pauses=pauses, track=track,
+            picture=picture, recording=recording, begin_with=None if begin_with is None else begin_with.weights,
+        )  # fmt: skip
+    return Trained(
+        network, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=network)
     )

@@ -5,6 +5,7 @@ import itertools
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,13 +25,16 @@ from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
-from dc2g_jax._src.training.cost_to_go import TrainingConfig, learning_rates
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import training_set
 from dc2g_jax._src.training.masks import Masks, collect_masks
 from dc2g_jax._src.training.pairs import Pair, make_pair
 from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.columns import TIMELINE, curve_style, first_view, image_style, open_recording
 from dc2g_jax._src.viewer.legend import CostScale
+
+#: Number of maps in a recording, and in pictures for a tracker.
+MAPS_SHOWN = 6
 
 #: Gap between two maps side by side, columns.
 _GAP = 2
@@ -57,6 +61,7 @@ _CURVES = {
     "loss": ("loss", 2),
     "learning_rate": ("learning rate", 2),
     "error": ("mean error on the maps shown (cells)", 2),
+    "validation/error": ("mean error on validation pairs (cells)", 2),
     "validation/mean": ("validation episodes: mean extra steps (%)", 3),
 }
 
@@ -174,7 +179,7 @@ class TrainingRecording:
     """
 
     def __init__(self, folder: Path, config: TrainingConfig, maps: Pair, *, file: Path | None, viewer: str | None):
-        self._rates = learning_rates(config)
+        self._architecture = config.architecture
         self._predicted: int | None = None
         self._terrain = jnp.asarray(maps.terrain)
         self._exact = np.asarray(maps.target)
@@ -200,36 +205,35 @@ class TrainingRecording:
         for row, image in (("known", terrain), ("exact", _side_by_side(exact))):
             self._stream.log(f"maps/{row}", rr.SegmentationImage(image), static=True)
 
-    def look(self, step: int, loss: float | None, network: NetworkCostToGo) -> None:
+    def look(self, step: int, figures: Mapping[str, float], weights: Any) -> None:
         """Add a point to the curves and, now and then, predictions for the maps.
 
         Args:
           step: optimizer steps taken.
-          loss: mean loss of the latest steps; `None` before the first.
-          network: current network.
+          figures: loss and learning rate; empty before the first step.
+          weights: current weights of the network.
         """
-        if loss is not None:
-            self._add(step, {"loss": loss, "learning_rate": float(self._rates[step - 1])})
-        if loss is None or self._predicted is None or step >= self._predicted + _STEPS_PER_PREDICTION:
-            self._predict(step, network)
+        self._add(step, figures)
+        if not figures or self._predicted is None or step >= self._predicted + _STEPS_PER_PREDICTION:
+            self._predict(step, weights)
 
-    def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
+    def validate(self, step: int, figures: Mapping[str, float], weights: Any) -> None:
         """Add the results of a validation, and predictions for the maps.
 
         Args:
           step: optimizer steps taken.
           figures: name -> value.
-          network: current network.
+          weights: current weights of the network.
         """
-        kinds = {name: "median" if "median" in name else "mean" for name in figures}
+        kinds = {name: "error" if name == "error" else "median" if "median" in name else "mean" for name in figures}
         self._add(step, {f"validation/{kinds[name]}/{name}": value for name, value in figures.items()})
         if self._predicted != step:
-            self._predict(step, network)
+            self._predict(step, weights)
 
-    def _predict(self, step: int, network: NetworkCostToGo) -> None:
+    def _predict(self, step: int, weights: Any) -> None:
         """Add predictions for the maps."""
         self._predicted = step
-        predicted = np.asarray(_expected_cost(network, self._terrain))
+        predicted = np.asarray(_expected_cost(NetworkCostToGo(weights, self._architecture), self._terrain))
         difference = np.where(self._counts, predicted - np.where(self._counts, self._exact, 0), 0)
         self._add(step, {"error": float(np.sum(np.abs(difference)) / np.sum(self._counts))})
         predictions = {

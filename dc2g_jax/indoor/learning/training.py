@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from dc2g_jax.estimation import fresh_weights, with_weights
+from dc2g_jax.estimation import fresh_weights, with_weights, write_network
 from dc2g_jax.indoor.learning import networks
 from dc2g_jax.indoor.learning.data import (
     ALL_SYMMETRIES,
@@ -33,17 +33,17 @@ from dc2g_jax.indoor.learning.losses import (
 )
 from dc2g_jax.indoor.learning.midlevel import (
     BLOCK,
+    ENCODER,
     Answers,
     EncoderArchitecture,
     SmallEncoder,
-    TrainedEncoder,
 )
 from dc2g_jax.indoor.learning.networks import CostMapArchitecture, Prediction
 from dc2g_jax.indoor.maps.camera import CameraView
 from dc2g_jax.indoor.maps.classes import OBJECT_CLASSES
 from dc2g_jax.indoor.maps.mapping import network_maps
-from dc2g_jax.runtime import first_copy, jit, mesh_for_batch, replicate
-from dc2g_jax.training import Losses, Supervised, Task, TrainingState, check_numbers, placed, state_of, supervised_step
+from dc2g_jax.runtime import check_number, jit
+from dc2g_jax.training import Supervised, Task, TrainingState, state_of
 
 #: Least number of pixels of a class that counts as present in an image, and the depth at which errors are cut, meters.
 _PRESENT, _FAR = 12, 10.0
@@ -118,21 +118,29 @@ class CostMapConfig(Supervised):
 
     def __post_init__(self) -> None:
         named_loss(self.loss)
-        check_numbers(self.recipe.peak, steps=self.steps, batch_size=self.batch_size)
+        check_number("learning rate", float(np.float32(self.recipe.peak)), above=0)
+        check_number("steps", self.steps, whole=True, least=1)
+        check_number("batch size", self.batch_size, whole=True, least=1)
 
     @property
     def average_decay(self) -> float:
         """That of the recipe."""
         return self.recipe.average_decay
 
-    def learning_rates(self) -> optax.Schedule:
-        """`step ->` learning rate of the recipe."""
+    def first_state(self, hyperparameters: None) -> TrainingState:
+        """Random weights, of the seed."""
+        weights_key, _ = jax.random.split(jax.random.key(self.seed))
+        weights = fresh_weights(networks.CostMapNetwork, self.architecture, weights_key)
+        return state_of(weights, self.optimizer(), self.average_decay)
+
+    def learning_rate(self, hyperparameters: None = None) -> optax.Schedule:
+        """That of the recipe."""
         recipe, warmup = self.recipe, round(self.recipe.warmup * self.steps)
         return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(self.steps, warmup + 1), recipe.last)
 
     def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
         """The optimizer of the recipe with its learning rates."""
-        return OPTIMIZERS[self.recipe.optimizer](self.learning_rates(), self.recipe.weight_decay)
+        return OPTIMIZERS[self.recipe.optimizer](self.learning_rate(), self.recipe.weight_decay)
 
     def draw(self, data: JourneySet, step: Int[Array, ""], hyperparameters: None) -> Samples:
         """The batch of a step, which only depends on the seed and the step."""
@@ -150,13 +158,6 @@ class CostMapConfig(Supervised):
         of_weights = jax.value_and_grad(lambda weights: mean_loss(self, weights, batch), has_aux=True)
         (loss, _), gradient = of_weights(state.weights)
         return loss, gradient
-
-
-def first_state(config: CostMapConfig) -> TrainingState:
-    """The state before the first step."""
-    weights_key, _ = jax.random.split(jax.random.key(config.seed))
-    weights = fresh_weights(networks.CostMapNetwork, config.architecture, weights_key)
-    return state_of(weights, config.optimizer(), config.average_decay)
 
 
 def mean_loss(
@@ -208,6 +209,7 @@ def figures(weights: Any, batches: list[Samples], config: CostMapConfig) -> dict
     mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}
     percent: dict[str, Any] = occupancy_scores(jnp.asarray(counts, jnp.float32))
     percent |= {name: mean.pop(name) for name in ("aAP5", "aAP9")}
+    mean["validation_loss"] = mean.pop("loss")
     return {
         **{name: round(value, 4) for name, value in mean.items()},
         **{name: round(100 * float(value), 2) for name, value in percent.items()},
@@ -243,14 +245,18 @@ class EncoderTraining(Supervised):
     batch_size: int = 64
     seed: int = 0
 
-    def first_state(self) -> TrainingState:
-        """The state before the first step."""
+    def first_state(self, hyperparameters: None) -> TrainingState:
+        """Random weights, of the seed."""
         weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
         return state_of(weights, self.optimizer())
 
+    def learning_rate(self, hyperparameters: None = None) -> optax.Schedule:
+        """A cosine decay to zero."""
+        return optax.cosine_decay_schedule(2e-3, max(self.steps, 1))
+
     def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
-        """Adam, with a cosine decay of the learning rate to zero."""
-        return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
+        """Adam."""
+        return optax.adam(self.learning_rate())
 
     def draw(self, data: CameraView, step: Int[Array, ""], hyperparameters: None) -> CameraView:
         """Random images."""
@@ -270,26 +276,24 @@ class EncoderTraining(Supervised):
         )
 
 
-def encoder_task(
-    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], object]
-) -> Task[TrainingState]:
+def encoder_task(training: EncoderTraining, views: CameraView, card: Mapping[str, Any] | None = None) -> Task:
     """The task of training the default encoder. The result is reproducible by seed to the bit.
 
     Args:
       training: the training.
-      views: all images.
-      save: called at each validation with the encoder and its losses on the first images.
+      views: all images; the first ones are also those of validations.
+      card: facts for its card.
     """
     losses = jit(training.losses)
-
-    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, float]]:
-        weights = first_copy(state.weights)
-        found = {name: float(loss) for name, loss in losses(weights, validation_views).items()}
-        save(TrainedEncoder(weights=weights, architecture=training.architecture), found)
-        return [{"step": step, **found}]
-
-    validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
-    mesh = mesh_for_batch(training.batch_size)
-    views, place = replicate(views, mesh), functools.partial(placed, mesh=mesh)
-    step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
-    return Task(training.steps, step, validate, place=place, name="encoder")
+    some = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
+    return Task(
+        training=training,
+        data=views,
+        runs={"": training},
+        steps=training.steps,
+        validate=lambda weights, step: {name: float(loss) for name, loss in losses(weights, some).items()},
+        save=lambda folder, weights, facts: write_network(
+            folder, weights, training.architecture, ENCODER, {**(card or {}), **facts}
+        ),
+        name="encoder",
+    )

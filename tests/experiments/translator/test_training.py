@@ -17,7 +17,6 @@ from experiments.translator.training import (
     TranslatorConfig,
     TranslatorTraining,
     discriminator_loss,
-    first_state,
     generator_loss,
 )
 from tests.support.states import infinite
@@ -29,6 +28,10 @@ def data() -> ImageSet:
     return image_set()
 
 
+def first_state(seed: int):
+    return TranslatorTraining(CONFIG, DRAW).first_state(jnp.uint32(seed))
+
+
 def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
     layers = state.weights["generator"]["down0"], state.weights["discriminator"]["layer0"]
     return tuple(np.array(layer["convolution"]["kernel"]) for layer in layers)
@@ -36,7 +39,7 @@ def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_discriminator_learns_only_where_it_is_asked():
     case, l1 = CASES["translator"], dataclasses.replace(CONFIG, loss="l1")
-    start = first_layers(first_state(CONFIG, seed=0))
+    start = first_layers(first_state(0))
     both = first_layers(train(case, 1)[0])
     assert not np.array_equal(both[0], start[0])
     assert not np.array_equal(both[1], start[1])
@@ -48,7 +51,7 @@ def test_the_discriminator_learns_only_where_it_is_asked():
 def test_the_discriminator_loss_is_the_cross_entropy(data):
     batch = DRAW(jax.random.key(0), jnp.int32(0), data)
     generated = 1 - batch.target
-    weights = first_state(CONFIG, seed=0).weights["discriminator"]
+    weights = first_state(0).weights["discriminator"]
     judge = jax.jit(with_weights(Discriminator, CONFIG.architecture, weights))
     believed, doubted = (
         1 / (1 + np.exp(-np.asarray(judge(batch.image, answer)))) for answer in (batch.target, generated)
@@ -60,7 +63,7 @@ def test_the_discriminator_loss_is_the_cross_entropy(data):
 @pytest.mark.parametrize(("loss", "by_difference", "by_doubt"), [("l1", 100, 0), ("gan", 0, 1), ("l1+gan", 100, 1)])
 def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_doubt):
     batch = DRAW(jax.random.key(0), jnp.int32(0), data)
-    generated, weights = 0.7 * batch.target, first_state(CONFIG, seed=0).weights["discriminator"]
+    generated, weights = 0.7 * batch.target, first_state(0).weights["discriminator"]
     odds = jax.jit(with_weights(Discriminator, CONFIG.architecture, weights))(batch.image, generated)
     doubt = np.mean(-np.log(1 / (1 + np.exp(-np.asarray(odds, np.float64)))))
     # pix2pix takes pictures from -1 to 1.
@@ -72,7 +75,7 @@ def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_dou
 
 
 def test_another_seed_gives_other_weights():
-    one, other = (first_state(CONFIG, seed=seed).weights["generator"] for seed in (0, 1))
+    one, other = (first_state(seed).weights["generator"] for seed in (0, 1))
     assert not np.array_equal(one["down0"]["convolution"]["kernel"], other["down0"]["convolution"]["kernel"])
 
 
@@ -87,7 +90,7 @@ def test_an_unknown_loss_is_refused_with_those_there_are():
 
 @pytest.mark.parametrize("network", ["generator", "discriminator"])
 def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(network):
-    state = first_state(CONFIG, seed=0)
+    state = first_state(0)
     adam, *rest = state.optimizer
     broken = adam._replace(mu=adam.mu | {network: infinite(adam.mu[network])})
     _, differences = train(CASES["translator"], 1, state.replace(optimizer=(broken, *rest)))

@@ -5,7 +5,7 @@ After an interruption, --resume continues where it stopped.
 
 import dataclasses
 import functools
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -16,18 +16,20 @@ from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import newest_step
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import parse_losses
-from dc2g_jax._src.training.train import PAUSES, Watching, train
+from dc2g_jax._src.training.train import EPISODES_EVERY, check_training, train
 from dc2g_jax._src.viewer.columns import viewer_sink
-from dc2g_jax._src.viewer.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
-
-#: Number of maps in a recording, and in pictures for a tracker.
-_MAPS_SHOWN = 6
+from dc2g_jax._src.viewer.training_recording import (
+    MAPS_SHOWN,
+    TrainingRecording,
+    maps_to_watch,
+    next_file,
+    prediction_picture,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
       batch_size: pairs per step; a multiple of 8 keeps up to eight CPU cores busy.
       learning_rate: peak learning rate.
       seed: seed of weights and batches.
+      episodes_every: steps between validations that also run episodes in validation houses; 0 for none.
       split: split of the houses to run planners in at the end, with the trained network; None for no episodes.
       record: write a rerun recording of the training, `training-001.rrd`, and another one each time it is resumed;
         `rerun DIR/training-*.rrd` shows them together, even during training.
@@ -67,8 +70,7 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     learning_rate: float = TrainingConfig.learning_rate
     seed: int = 0
     split: Literal["train", "val", "test"] | None = "val"
-    validate_every: int = PAUSES.validate_every
-    minutes_per_checkpoint: float = PAUSES.minutes_per_checkpoint
+    episodes_every: int = EPISODES_EVERY
     record: bool = False
     connect: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
 
@@ -102,20 +104,17 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
         )
 
 
-def watching(options: Options, dataset: HouseDataset, config: TrainingConfig) -> Watching:
+def shown_by(options: Options, dataset: HouseDataset, config: TrainingConfig) -> dict[str, Any]:
     """What shows the training, as the options ask. It shows validation houses, the same ones for every run."""
-    recording, maps = None, None
-    if options.record or options.connect is not None or options.track is not None:
-        maps = maps_to_watch(dataset, _MAPS_SHOWN)
-    if maps is not None and (options.record or options.connect is not None) and newest_step(options.out) < config.steps:
+    records = options.record or options.connect is not None
+    if not records and options.track is None:
+        return {}
+    maps = maps_to_watch(dataset, MAPS_SHOWN)
+    recording = None
+    if records and newest_step(options.out) < config.steps:
         file = next_file(options.out) if options.record else None
         recording = TrainingRecording(options.out, config, maps, file=file, viewer=options.connect)
-    return Watching(
-        recording,
-        picture=None if maps is None else functools.partial(prediction_picture, maps=maps),
-        track=options.track,
-        card={"command": command_written(), "commit": commit()},
-    )
+    return {"recording": recording, "picture": functools.partial(prediction_picture, maps=maps)}
 
 
 def main(options: Options) -> None:
@@ -123,24 +122,18 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written
-
-    def begin(dataset: HouseDataset, config: TrainingConfig, network: NetworkCostToGo | None) -> Watching:
-        if options.record or options.connect is not None or options.track is not None:
-            check_houses(dataset, extra=options.data.extra_houses, drawn=False, validated=True)
-        free = {"validate_every", "minutes_per_checkpoint", "record", "connect", "split"}
-        output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
-        return watching(options, dataset, config)
-
-    trained = train(
-        options.out,
-        dataset,
-        config=options.training(max(dataset.houses[0].terrain.shape)),
-        data=options.data,
-        pauses=options,
-        after=options.after,
-        split=options.split,
-        begin=begin,
-    )
+    arguments: dict[str, Any] = {
+        **{name: getattr(options, name) for name in ("data", "episodes_every", "after", "split", "track")},
+        "config": options.training(max(dataset.houses[0].terrain.shape)),
+        "pauses": Pauses(options.validate_every, options.minutes_per_checkpoint),
+    }
+    plan, network, _ = check_training(dataset, **arguments)
+    if options.record or options.connect is not None or options.track is not None:
+        check_houses(dataset, extra=0, drawn=False, validated=True)
+    free = {"validate_every", "episodes_every", "minutes_per_checkpoint", "record", "connect", "split"}
+    output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
+    card = {"command": command_written(), "commit": commit()}
+    trained = train(options.out, dataset, **arguments, card=card, **shown_by(options, dataset, plan.recipe))
     print(f"Trained: {options.out / 'network'}")
     if trained.results is not None:
         print(f"In the houses of split {options.split}:\n{trained.results}")
