@@ -25,11 +25,11 @@ def test_figures_of_a_network_do_not_change():
     found = figures(weights, batches, CONFIG)
     metrics = {f"{metric} {kind}" for metric in ("F1", "IoU") for kind in ("free", "occupied")}
     metrics |= {"MPA", "mF1", "mIoU", "aAP5", "aAP9"}
-    assert set(found) == metrics | {"loss", "occupancy", "cost", "direction"}
+    assert set(found) == metrics | {"validation_loss", "occupancy", "cost", "direction"}
     assert found == figures(weights, batches, CONFIG)
     assert 0 < found["mIoU"] < found["mF1"] < 100
     own = figures(weights, batches, dataclasses.replace(CONFIG, loss="experiments.studies.indoor_losses:no_direction"))
-    np.testing.assert_allclose(own["loss"], found["occupancy"] + 1.5 * found["cost"], atol=2e-4)
+    np.testing.assert_allclose(own["validation_loss"], found["occupancy"] + 1.5 * found["cost"], atol=2e-4)
 
 
 @pytest.mark.parametrize("recipe", [PAPER_RECIPE, BETTER_RECIPE], ids=lambda recipe: recipe.optimizer)

@@ -260,7 +260,7 @@ def test_losses_are_names_sums_or_functions(losses, names):
         ([lambda *args: args[0]], "give a function of your own another name"),
         ({"l1": own_loss}, "give a function of your own another name"),
         ([3], "loss 3: give a name"),
-        (["l3"], "known: quantile, l1"),
+        (["l3"], "give one of quantile, l1"),
         ([lambda estimate: estimate], "another name"),
         ({"mine": lambda estimate: estimate}, "loss 'mine': cannot be called"),
         ([own_loss, own_loss], "'own_loss' is given twice"),

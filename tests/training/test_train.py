@@ -48,7 +48,7 @@ def test_houses_become_a_network_that_is_evaluated_and_kept(tmp_path):
         ({"split": "test", "pauses": RARELY}, ["test", "use another split"]),
         ({"config": dataclasses.replace(CONFIG, architecture=Architecture(network="nets:None_"))}, ["'nets:None_'"]),
         ({"pauses": Pauses(validate_every=-1)}, ["--validate-every -1"]),
-        ({"config": dataclasses.replace(CONFIG, losses=(("l3", 1.0),))}, ["l3", "known: quantile, l1"]),
+        ({"config": dataclasses.replace(CONFIG, losses=(("l3", 1.0),))}, ["l3", "give one of quantile, l1"]),
         ({"split": "valid"}, ["no split is called 'valid'"]),
         ({"episodes_every": -1}, ["--episodes-every -1"]),
     ],

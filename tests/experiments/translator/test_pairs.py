@@ -187,5 +187,5 @@ def test_masks_of_robots():
 
 
 def test_no_masks_make_no_pairs():
-    with pytest.raises(InputError, match="train: 0 masks a house"):
+    with pytest.raises(InputError, match="masks per house 0"):
         image_set(maps.drawn_dataset(), "train", size=32, masks="paper", per_house=0)
