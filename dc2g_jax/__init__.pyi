@@ -16,7 +16,7 @@ from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner
 from ._src.planning.metric_map import MetricMap as MetricMap
 from ._src.environments.task import make_env as make_env
-from ._src.rollouts.devices import use_cores as use_cores
+from ._src.runtime.devices import use_cores as use_cores
 from ._src.estimation.hub import load_network as load_network
 
 # Write a planner or an estimator.
@@ -37,7 +37,7 @@ from ._src.grid.world import World as World
 from ._src.grid.gridworld import Belief as Belief, reset as reset, step as step
 from ._src.grid.poses import make_pose as make_pose
 from ._src.rollouts.rollout import rollout as rollout
-from ._src.errors import InputError as InputError
+from ._src.runtime.errors import InputError as InputError
 
 # More, in modules.
 from . import commands as commands

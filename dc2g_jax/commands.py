@@ -22,4 +22,4 @@ from dc2g_jax._src.cli.outputs import (
     output_folder as output_folder,
     print_files as print_files,
 )
-from dc2g_jax._src.errors import check_seed as check_seed
+from dc2g_jax._src.runtime.errors import check_seed as check_seed

@@ -51,4 +51,4 @@ from dc2g_jax._src.planning.rules import (
     first_goal as first_goal,
 )
 from dc2g_jax._src.planning.selection import ExpectedCost as ExpectedCost, QuantileCost as QuantileCost
-from dc2g_jax._src.programs import jit as jit
+from dc2g_jax._src.runtime.programs import jit as jit

@@ -1,7 +1,6 @@
 """Rollouts: many episodes at once, and what they give."""
 
 from dc2g_jax._src.rollouts.checks import check_estimator as check_estimator, check_planner as check_planner
-from dc2g_jax._src.rollouts.devices import use_cores as use_cores
 from dc2g_jax._src.rollouts.evaluation import (
     Runner as Runner,
     episodes_from as episodes_from,
@@ -14,3 +13,4 @@ from dc2g_jax._src.rollouts.results import (
 )
 from dc2g_jax._src.rollouts.rollout import Episodes as Episodes, rollout as rollout
 from dc2g_jax._src.rollouts.statistics import Mean as Mean, house_bootstrap as house_bootstrap
+from dc2g_jax._src.runtime.devices import use_cores as use_cores

@@ -1,16 +1,7 @@
 """Devices, compiled programs, errors and parts by name, for packages that build on dc2g_jax."""
 
-from dc2g_jax._src.errors import (
-    InputError as InputError,
-    check_name as check_name,
-    check_number as check_number,
-    require_extra as require_extra,
-    short as short,
-)
 from dc2g_jax._src.files.cache import keep_compiled_programs as keep_compiled_programs
-from dc2g_jax._src.own_parts import own_part as own_part
-from dc2g_jax._src.programs import jit as jit
-from dc2g_jax._src.rollouts.devices import (
+from dc2g_jax._src.runtime.devices import (
     batched as batched,
     deal as deal,
     first_copy as first_copy,
@@ -23,3 +14,12 @@ from dc2g_jax._src.rollouts.devices import (
     require_memory as require_memory,
     serve_paced as serve_paced,
 )
+from dc2g_jax._src.runtime.errors import (
+    InputError as InputError,
+    check_name as check_name,
+    check_number as check_number,
+    require_extra as require_extra,
+    short as short,
+)
+from dc2g_jax._src.runtime.own_parts import own_part as own_part
+from dc2g_jax._src.runtime.programs import jit as jit

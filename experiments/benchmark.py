@@ -11,10 +11,10 @@ import jax
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.runtime.errors import InputError
 
 from .benchmarks import figures, machine, report
 from .benchmarks.accelerator import accelerator_rows

@@ -10,9 +10,9 @@ import tyro
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.runtime.devices import mesh_of
+from dc2g_jax._src.runtime.errors import InputError
 
 from .benchmarks.compiled_for import Cost, cost, open_target, table
 from .benchmarks.hot_programs import hot_programs

@@ -15,7 +15,6 @@ from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.results_figures import (
     GROUP_LABELS,
     PAGE_WIDTH,
@@ -27,6 +26,7 @@ from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import published_episodes
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.support import published
 from experiments.support.published import PUBLISHED_GROUPS
 

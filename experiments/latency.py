@@ -13,10 +13,10 @@ import numpy as np
 from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line, network_for
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.runtime.errors import InputError
 
 from .benchmarks.decisions import LatencyRow, waits
 from .benchmarks.machine import describe

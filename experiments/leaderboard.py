@@ -9,7 +9,7 @@ import tyro
 from dc2g_jax._src.cli.commands import compare
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import SharedOptions
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Where the documents of this checkout are.
 DOCS = Path(__file__).parent.parent / "docs"

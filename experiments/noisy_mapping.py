@@ -10,7 +10,6 @@ from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
@@ -22,8 +21,9 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import Results
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax.robot.driving.drive import Equipment
 from experiments.support.drive_figures import plot_noise
 from experiments.support.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives

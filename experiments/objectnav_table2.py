@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from dc2g_jax._src.cli.common import command_line
-from dc2g_jax._src.errors import InputError, check_name
+from dc2g_jax._src.runtime.errors import InputError, check_name
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect
 from dc2g_jax.indoor.learning.losses import OF_CLASSES

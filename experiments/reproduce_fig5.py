@@ -16,11 +16,11 @@ import jax.numpy as jnp
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null, output_folder, print_files
-from dc2g_jax._src.errors import InputError, check_number, check_seed
 from dc2g_jax._src.estimation.checkpoints import newest_step, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
-from dc2g_jax._src.rollouts.devices import mesh_of, platform, require_memory
+from dc2g_jax._src.runtime.devices import mesh_of, platform, require_memory
+from dc2g_jax._src.runtime.errors import InputError, check_number, check_seed
 from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
 from dc2g_jax._src.training.sweeps import in_turns
 from dc2g_jax._src.training.tracking import TrackerName, run_folder

@@ -17,7 +17,6 @@ from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_lin
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.episode_figures import plot_episode
 from dc2g_jax._src.figures.replay import replay_result
@@ -29,9 +28,10 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
 from dc2g_jax._src.rollouts.statistics import Summary
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.viewer.recording import record_frames
 from experiments.support.bars import TITLES, plot_extra_steps
 from experiments.support.published import PUBLISHED_GROUPS, authors_results, group_by_house, run_published

@@ -9,12 +9,12 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.map_options import start_in
 from dc2g_jax._src.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax._src.cli.options import DatasetOptions
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 
 @dataclasses.dataclass(frozen=True)

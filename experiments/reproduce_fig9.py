@@ -19,12 +19,12 @@ from dc2g_jax._src.cli.common import (
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
+from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax.robot.driving.drive import reset
 from dc2g_jax.robot.driving.fleet import Moment, moments, sites_of
 from dc2g_jax.robot.recording import MappedFrame, record_camera

@@ -15,9 +15,9 @@ from typing import Any
 
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.rollouts.statistics import Mean
+from dc2g_jax._src.runtime.errors import InputError
 
 from .benchmarks.report import in_short
 from .support.searches import with_interval

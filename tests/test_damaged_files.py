@@ -24,7 +24,6 @@ from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
 from dc2g_jax._src.cli.outputs import _read_run
-from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network, write_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
@@ -36,6 +35,7 @@ from dc2g_jax._src.readers.houses import load_dataset, map_dataset
 from dc2g_jax._src.readers.maps import Goal, read_map
 from dc2g_jax._src.readers.starts import read_starts
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax._src.training.cost_to_go_data import check_masks, kept_arrays
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.masks import Masks

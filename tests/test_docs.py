@@ -16,8 +16,8 @@ import pytest
 import tyro
 
 from dc2g_jax._src.cli.commands import COMMANDS
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.rollouts import devices
+from dc2g_jax._src.runtime import devices
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.results import RESULTS, Options, main, run_in, templates, with_figures
 from tests.support.places import ROOT
 

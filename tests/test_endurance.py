@@ -12,13 +12,13 @@ import os
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, ROAD
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.starts import sample_starts
 from dc2g_jax._src.rollouts.evaluation import Runner
+from dc2g_jax._src.runtime.errors import LONGEST_MESSAGE, InputError
 from tests.support.houses import DATASET
 from tests.support.memory import memory
 from tests.support.networks import random_network

@@ -21,8 +21,8 @@ import pytest
 from dc2g_jax._src.cli.common import _full_disk
 from dc2g_jax._src.cli.options import ResumeOptions
 from dc2g_jax._src.cli.outputs import RUN_FILE
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import is_unfinished
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support import commands
 from tests.support.faults import FAULTS, Death, Fault, faulty, points
 from tests.support.resumable import COMMANDS, Command, write_houses

@@ -26,7 +26,7 @@ def modules_after(code: str) -> set[str]:
 def test_importing_the_package_imports_nothing_else():
     loaded = modules_after("import dc2g_jax as dc2g; assert 'evaluate' in dir(dc2g); dc2g.InputError")
     ours = {name for name in loaded if name.startswith("dc2g_jax")}
-    assert ours == {"dc2g_jax", "dc2g_jax._src", "dc2g_jax._src.errors"}
+    assert ours == {"dc2g_jax", "dc2g_jax._src", "dc2g_jax._src.runtime", "dc2g_jax._src.runtime.errors"}
     assert not loaded & {"gymnasium", "jax", "numpy"}
 
 

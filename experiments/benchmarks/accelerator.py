@@ -14,10 +14,10 @@ from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.readers.starts import published_episodes, sample_starts
-from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import rollout
+from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.step import supervised_step
 from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses

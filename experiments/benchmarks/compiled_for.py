@@ -11,7 +11,7 @@ from jax._src.lib import _jax
 from jax.experimental import topologies
 from jax.sharding import NamedSharding, PartitionSpec
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 
 from .hot_programs import HotProgram
 from .launches import Launches, count_launches

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from dc2g_jax._src.grid import gridworld
-from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 
 from .bench import SENSING_RANGE, Bench, own

@@ -17,9 +17,9 @@ from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.online import OnlinePlanner
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
+from dc2g_jax._src.runtime.programs import jit
 
 from .timing import measure
 from .workload import Workload

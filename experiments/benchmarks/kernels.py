@@ -15,8 +15,8 @@ from dc2g_jax._src.grid.poses import PoseSet, every_heading, unpack
 from dc2g_jax._src.grid.sensing import expanding_kernel
 from dc2g_jax._src.planning import frontiers, planners
 from dc2g_jax._src.planning.selection import ExpectedCost
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import deal, mesh_of, on_each, replicate
+from dc2g_jax._src.runtime.devices import deal, mesh_of, on_each, replicate
+from dc2g_jax._src.runtime.programs import jit
 from tests.oracles import numpy_gridworld
 
 from ..baselines import libraries

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax._src.cli.outputs import versions
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import cores
+from dc2g_jax._src.runtime.devices import cores
+from dc2g_jax._src.runtime.programs import jit
 
 from .timing import measure, text_of
 

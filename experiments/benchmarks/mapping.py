@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from dc2g_jax._src.grid.terrain import HOUSE, ROAD
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax.robot.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
 from dc2g_jax.robot.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
 

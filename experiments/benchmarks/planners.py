@@ -18,8 +18,8 @@ from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.figures.replay import actions_from_letters
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import planner_with
-from dc2g_jax._src.rollouts.devices import cores
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, rollout
+from dc2g_jax._src.runtime.devices import cores
 from tests.oracles import numpy_gridworld
 
 from ..baselines import c_gridworld

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.programs import jit
 
 from .work import equations
 

@@ -14,7 +14,7 @@ from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.terrain import ROAD
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.rollouts.devices import cores
+from dc2g_jax._src.runtime.devices import cores
 from tests.oracles import numpy_gridworld
 
 from ..baselines import environments

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import jax
 
-from dc2g_jax._src.rollouts.devices import cores
+from dc2g_jax._src.runtime.devices import cores
 
 from .bench import SENSING_RANGE, Bench, own
 from .kernels import network_row

@@ -15,7 +15,7 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 PLANNERS = ("frontier", "dc2g")
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
+from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.pairs import TrainingSet

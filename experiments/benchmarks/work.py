@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun, jaxprs_in_params
 
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.programs import jit
 
 # fmt: off
 #: Primitives that handle one element with one instruction, or a few.

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import Planner
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.rollout import Episodes
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import jit
 
 from ..baselines.problem import Problem, make_problem
 

@@ -20,19 +20,19 @@ from scipy.stats import spearmanr
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import planner_with
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import evaluate
 from dc2g_jax._src.rollouts.results import Results
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, drawn_houses, validation_pairs
 from dc2g_jax._src.training.loop import Pauses

@@ -19,14 +19,14 @@ from jaxtyping import Array, Bool, Float
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.weights import read_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.grid.shifting import shifted
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax.indoor.learning import networks
 from dc2g_jax.indoor.learning.data import (
     LOCAL,

@@ -15,7 +15,6 @@ from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
@@ -26,8 +25,9 @@ from dc2g_jax._src.procedural.suburbs import SUBURBS
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import Results, as_text
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 from experiments.support.neighborhoods import draw_neighborhood
 

@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.results_figures import (
     GROUP_LABELS,
     PAGE_WIDTH,
@@ -20,6 +19,7 @@ from dc2g_jax._src.figures.results_figures import (
     save_figure,
 )
 from dc2g_jax._src.rollouts.results import Table
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Titles of figures by settings.
 TITLES = {

@@ -8,7 +8,6 @@ import numpy as np
 
 from dc2g_jax._src.cli.common import ImageSizeOption
 from dc2g_jax._src.cli.outputs import CommandOptions
-from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.label_noise import scaled
 from dc2g_jax._src.grid.sensing import line_of_sight
@@ -18,8 +17,9 @@ from dc2g_jax._src.planning.selection import ENDLESS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax.robot.driving.drive import ARRIVED, Equipment
 from dc2g_jax.robot.driving.fleet import drive_all, sites_of
 from dc2g_jax.robot.driving.vehicle import VehicleLimits

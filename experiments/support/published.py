@@ -12,10 +12,10 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.readers.starts import PublishedEpisode, published_episodes
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 from dc2g_jax._src.rollouts.statistics import extra_steps, house_bootstrap
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 #: Groups of the published episodes in tables, in order; `all` holds all episodes.
 PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from dc2g_jax._src.figures._sheets import spread
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax.indoor.maps.mapping import square, window
 from dc2g_jax.indoor.search.agent import Agent, cost_of_pose, weighed
 from dc2g_jax.indoor.search.guides import predicted_costs, true_costs

@@ -11,13 +11,13 @@ import tyro
 from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import CommandOptions, output_folder, print_files
-from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.files.rows import ResumableTable
 from dc2g_jax._src.readers.houses import PROCEDURAL
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import Mean, house_bootstrap
+from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
 from dc2g_jax.indoor.search.agent import CONTROLLER, Agent

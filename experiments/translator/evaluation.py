@@ -11,8 +11,8 @@ from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.runtime.programs import jit
 from experiments.translator.images import cost_to_go_image, largest_cost
 from experiments.translator.metrics import Comparison, compare_images
 from experiments.translator.network import TranslatorCostToGo

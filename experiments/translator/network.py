@@ -16,12 +16,12 @@ import numpy as np
 from flax import nnx, struct
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.estimation.checkpoints import Kind
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.weights import shapes_of_weights, with_weights
 from dc2g_jax._src.grid.sampling import resize_nearest
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
+from dc2g_jax._src.runtime.programs import jit
 from experiments.translator import images
 
 _KERNEL = (4, 4)

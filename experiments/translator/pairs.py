@@ -10,15 +10,15 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
-from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.planning.rules import SETTINGS
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
+from dc2g_jax._src.runtime.errors import InputError, check_number
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
 from experiments.translator.drawn_masks import drawn_masks
 from experiments.translator.images import cost_to_go_image, largest_cost, semantic_image

@@ -11,8 +11,8 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, UInt32
 
-from dc2g_jax._src.errors import check_name, check_number
 from dc2g_jax._src.estimation.weights import with_weights
+from dc2g_jax._src.runtime.errors import check_name, check_number
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 from experiments.translator.network import Discriminator, Generator, TranslatorArchitecture, init_weights
 from experiments.translator.pairs import ImagePair

@@ -9,9 +9,9 @@ import pytest
 
 from dc2g_jax._src.cli.commands import run_episodes
 from dc2g_jax._src.cli.commands.check_map import Options, main
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.maps import drawn
 from tests.support.occupancy import save
 

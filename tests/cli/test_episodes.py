@@ -5,13 +5,13 @@ import pytest
 
 from dc2g_jax._src.cli import episodes
 from dc2g_jax._src.cli.episodes import EpisodeTable
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.rows import read_rows, write_rows
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.refusals import refusal
 
 STARTS = (Start("left", 9, 5, 1), Start("right", 9, 5, 2))

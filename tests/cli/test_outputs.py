@@ -11,8 +11,8 @@ import jax
 import pytest
 
 from dc2g_jax._src.cli.outputs import commit, folder_in_use, output_folder
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.runtime.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import require_extra
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
 from dc2g_jax._src.planning.decisions import RobotPose
+from dc2g_jax._src.runtime.errors import require_extra
 from dc2g_jax.demo import command as command
 from dc2g_jax.demo.robots import Demo
 from tests.support.networks import random_network

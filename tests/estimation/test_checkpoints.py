@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from flax import nnx, struct
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import (
     Kind,
     TrainingCheckpoints,
@@ -29,6 +28,7 @@ from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.runtime.errors import InputError
 
 N_SCALES = len(Architecture().widths)
 

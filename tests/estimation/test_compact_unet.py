@@ -10,7 +10,6 @@ import pytest
 from flax import nnx
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet, onnx_export
 from dc2g_jax._src.estimation.checkpoints import save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet, init_weights
@@ -22,6 +21,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support import maps
 from tests.support.refusals import refusal
 

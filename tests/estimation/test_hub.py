@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.refusals import refusal
 
 constants = pytest.importorskip("huggingface_hub.constants")

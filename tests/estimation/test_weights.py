@@ -11,9 +11,9 @@ import pytest
 from flax.traverse_util import flatten_dict
 from jax.sharding import PartitionSpec as P
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet, multiply_accumulates
 from dc2g_jax._src.estimation.weights import read_safetensors, shapes_of_weights, write_safetensors
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.refusals import refusal
 
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.runtime.devices import mesh_of
+from dc2g_jax._src.runtime.errors import InputError
 from experiments import compile_for
 from experiments.benchmarks import compiled_for
 from experiments.benchmarks.compiled_for import Cost, Target, lowered, step_of

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.readers.houses import HouseDataset
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training import loop, step
 from dc2g_jax._src.training.loop import Log
 from experiments import reproduce_fig4, reproduce_fig5

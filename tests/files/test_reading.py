@@ -8,7 +8,6 @@ import time
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError, short
 from dc2g_jax._src.files.reading import (
     number,
     parse_json,
@@ -20,6 +19,7 @@ from dc2g_jax._src.files.reading import (
     read_yaml,
     whole_number,
 )
+from dc2g_jax._src.runtime.errors import LONGEST_MESSAGE, InputError, short
 from tests.support.refusals import refusal
 
 REMEDY = "give another"

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.indoor.houses import furnishing, layouts
 from dc2g_jax.indoor.houses.dataset import draw_plan, indoor_house, indoor_houses
 from dc2g_jax.indoor.houses.plans import world_from_plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.checkpoints import CARD, write_network
-from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Log, Pauses, fit
 from dc2g_jax._src.training.step import learn

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.indoor.houses.dataset import indoor_houses
 from dc2g_jax.indoor.houses.plans import MARGIN, world_from_plan
 from dc2g_jax.indoor.houses.procthor import house_plan, read_procthor

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.rollouts.devices import first_copy
+from dc2g_jax._src.runtime.devices import first_copy
 from dc2g_jax.indoor.learning.training import (
     BETTER_RECIPE,
     PAPER_RECIPE,

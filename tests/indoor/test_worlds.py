@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.indoor.houses.plans import Furniture, world_from_plan
 from dc2g_jax.indoor.houses.worlds import (
     approaches,

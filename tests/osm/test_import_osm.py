@@ -5,9 +5,9 @@ import csv
 import cv2
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import sample_starts
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.osm.import_osm import Options, main
 from tests.support.hamlet import hamlet
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.grid.gridworld import belief_from_map
@@ -24,6 +23,7 @@ from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.benchmarks.extents import Window, WindowedEstimator
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax._src.grid import gridworld, poses
 from dc2g_jax._src.grid.gridworld import belief_from_map
@@ -35,6 +34,7 @@ from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, nam
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.runtime.errors import InputError
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (

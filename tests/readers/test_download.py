@@ -17,7 +17,6 @@ from pathlib import Path
 
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.readers._download import (
     FOLDER_NAME,
     URLS,
@@ -26,6 +25,7 @@ from dc2g_jax._src.readers._download import (
     matches_published,
     read_manifest,
 )
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.places import PUBLISHED, SHARED
 from tests.support.refusals import refusal_of
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
 from dc2g_jax._src.readers import houses as houses_module
@@ -23,6 +22,7 @@ from dc2g_jax._src.readers.houses import (
     open_dataset,
     procedural_dataset,
 )
+from dc2g_jax._src.runtime.errors import InputError
 from tests.files.pngs import chunk, png
 from tests.support.houses import save_dataset
 from tests.support.places import PUBLISHED, SHARED

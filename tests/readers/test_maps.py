@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import Palette, read_palette
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD
 from dc2g_jax._src.readers.houses import map_dataset, open_dataset, stack_worlds
 from dc2g_jax._src.readers.maps import Goal, draw_map, map_from_classes, read_map
 from dc2g_jax._src.readers.starts import sample_starts, why_no_episode
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.houses import save_dataset
 from tests.support.maps import drawn
 from tests.support.occupancy import save

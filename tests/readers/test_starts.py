@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House, HouseDataset, procedural_dataset
@@ -16,6 +15,7 @@ from dc2g_jax._src.readers.starts import (
     usable_houses,
     why_no_episode,
 )
+from dc2g_jax._src.runtime.errors import InputError
 from tests.support.refusals import refusal
 
 

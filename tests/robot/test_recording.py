@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.terrain import CAR, HOUSE, ROAD
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.robot import recording as camera_recording
 from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics
 from dc2g_jax.robot.mapping.semantic_map import UNSEEN, MapSettings, SemanticMap

@@ -28,10 +28,11 @@ from dc2g_jax._src.planning.planners import (
 )
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.planning.selection import QuantileCost
-from dc2g_jax._src.rollouts import devices, rollout as rollout_module
+from dc2g_jax._src.rollouts import rollout as rollout_module
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
+from dc2g_jax._src.runtime import devices
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds

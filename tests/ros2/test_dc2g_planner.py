@@ -19,8 +19,8 @@ from dc2g_planner.planner_process import Decision, MapPose, Planner, Refused
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.planning.online import OnlinePlanner
+from dc2g_jax._src.runtime.errors import InputError
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
 from tests.support.places import ROOT

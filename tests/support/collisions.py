@@ -112,8 +112,8 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
     from dc2g_jax._src.readers.houses import HouseDataset
     from dc2g_jax._src.readers.starts import Start
-    from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+    from dc2g_jax._src.runtime.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.training import cost_to_go
     from dc2g_jax._src.training.masks import collect_masks
     from dc2g_jax._src.training.step import stacked, supervised_step

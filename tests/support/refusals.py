@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 
 
 def refusal_of(kind: type[Exception], call, *mentions: object) -> str:

@@ -16,7 +16,7 @@ from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.runtime.devices import mesh_of, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import Supervised, TrainingState, supervised_step

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.translator.training import TranslatorConfig
 from tests.support.trainings import CASES, COST_TO_GO as CONFIG, first_state, train
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,
     check_masks,

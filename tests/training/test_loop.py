@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
 from tests.support.refusals import refusal

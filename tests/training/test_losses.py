@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.losses import LOSSES, map_loss, named_loss, parse_losses
 from tests.support.refusals import refusal
 

@@ -15,8 +15,8 @@ from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.rollouts.devices import mesh_of
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.training import masks
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.masks import by_house, collect_masks, moments_along

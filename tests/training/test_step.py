@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax._src.rollouts import devices
-from dc2g_jax._src.rollouts.devices import mesh_for_batch
+from dc2g_jax._src.runtime import devices
+from dc2g_jax._src.runtime.devices import mesh_for_batch
 from dc2g_jax._src.training import step
 from dc2g_jax._src.training.step import draw_batches, learn, placed, supervised_step
 from experiments.translator import training as translator

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.rollouts import devices
-from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
+from dc2g_jax._src.runtime import devices
+from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training import step
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, mean_loss
 from dc2g_jax._src.training.cost_to_go_data import DataConfig

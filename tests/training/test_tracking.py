@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Pauses, Task, fit
 from dc2g_jax._src.training.tracking import Curve, check_tracker

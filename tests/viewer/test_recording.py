@@ -9,7 +9,6 @@ import pytest
 import rerun as rr
 from flax import struct
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax._src.figures import replay as replaying
 from dc2g_jax._src.figures.replay import actions_from_letters, replay, replay_result, running_extra_steps
@@ -25,6 +24,7 @@ from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import extra_steps
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.recording import record_episode, record_frames
 from tests.oracles import numpy_gridworld as oracle

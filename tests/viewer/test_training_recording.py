@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.cli.commands.train import Options, shown_by
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.terrain import FIGURE_RGB, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, Task, fit

@@ -3,7 +3,7 @@
 import os
 import sys
 
-from dc2g_jax._src.errors import require_extra
+from dc2g_jax._src.runtime.errors import require_extra
 
 
 def prepare() -> None:

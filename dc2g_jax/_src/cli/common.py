@@ -18,14 +18,14 @@ from jax.experimental import multihost_utils
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
-from dc2g_jax._src.errors import InputError, check_seed, drop_output, reader_may_leave
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names
 from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.rollouts.devices import join_processes, use_devices
+from dc2g_jax._src.runtime.devices import join_processes, use_devices
+from dc2g_jax._src.runtime.errors import InputError, check_seed, drop_output, reader_may_leave
 from dc2g_jax._src.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)

@@ -9,12 +9,12 @@ import tyro
 from jaxtyping import UInt8
 
 from dc2g_jax._src.cli.outputs import CommandOptions
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import read_palette
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.maps import Goal, draw_map
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
 from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, start_ground, why_no_episode
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Start of an episode: column, row and heading.
 StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]

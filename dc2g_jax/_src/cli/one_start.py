@@ -23,8 +23,8 @@ from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.viewer.recording import record_frames
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.

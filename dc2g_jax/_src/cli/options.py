@@ -8,7 +8,7 @@ import tyro
 
 from dc2g_jax._src.cli.common import DatasetOption, NetworkOption
 from dc2g_jax._src.cli.outputs import CommandOptions, Machines
-from dc2g_jax._src.errors import check_number
+from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.tracking import TrackerName
 

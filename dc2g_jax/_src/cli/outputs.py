@@ -17,9 +17,9 @@ from typing import Annotated, Any
 import jax
 import tyro
 
-from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.atomic import clear_unfinished, is_unfinished, write_json
 from dc2g_jax._src.files.reading import read_object
+from dc2g_jax._src.runtime.errors import InputError, short
 
 if sys.platform != "win32":
     import fcntl

@@ -24,7 +24,6 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from dc2g_jax._src.environments import spaces
-from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
@@ -34,6 +33,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, stack_worlds
 from dc2g_jax._src.readers.starts import start_cells, why_no_episode
 from dc2g_jax._src.rollouts.rollout import NO_ACTION, STEP_LIMIT
+from dc2g_jax._src.runtime.errors import InputError, check_number
 
 #: Reward of every action.
 _STEP_REWARD = -1.0

@@ -3,10 +3,10 @@
 import os
 
 from dc2g_jax._src.environments.functional import SENSING_RANGE, FrontDoor, Params, front_door
-from dc2g_jax._src.errors import check_name
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
+from dc2g_jax._src.runtime.errors import check_name
 
 
 def make_env(

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 from flax import nnx
 
-from dc2g_jax._src.errors import InputError, require_extra, short
 from dc2g_jax._src.estimation.compact_unet import COMPACT_UNET, Architecture, make_network
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, write_safetensors
@@ -25,7 +24,8 @@ from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.files.reading import number, read_object, whole_number
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.own_parts import is_own_part, own_part
+from dc2g_jax._src.runtime.errors import InputError, require_extra, short
+from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
 
 #: The shipped networks: for maps without errors, and for maps from a camera.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"

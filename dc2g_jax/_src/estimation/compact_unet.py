@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float, Int, Shaped, UInt8
 
-from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.own_parts import own_part
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.errors import InputError, check_number, short
+from dc2g_jax._src.runtime.own_parts import own_part
+from dc2g_jax._src.runtime.programs import jit
 
 #: Name of the class below among networks.
 COMPACT_UNET = "compact_unet"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import jax
 
-from dc2g_jax._src.errors import InputError, require_extra, short
 from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.files.reading import read_object
-from dc2g_jax._src.own_parts import is_own_part, own_part
+from dc2g_jax._src.runtime.errors import InputError, require_extra, short
+from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
 
 #: Prefix of places on the Hub.
 _HUB = "hf://"

@@ -8,11 +8,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from dc2g_jax._src.errors import InputError, require_extra
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo, trait
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.runtime.errors import InputError, require_extra
 
 require_extra("onnx", extra="onnx")
 import onnx  # noqa: E402

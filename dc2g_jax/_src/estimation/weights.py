@@ -14,10 +14,10 @@ from jaxtyping import Array
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.files.reading import check_file
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Most bytes of a file of weights.
 _LARGEST_NETWORK = 2**31

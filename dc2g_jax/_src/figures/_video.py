@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Int, UInt8
 from PIL import Image
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.class_images import color_codes
+from dc2g_jax._src.runtime.errors import InputError
 
 Picture = UInt8[np.ndarray, "height width 3"]
 

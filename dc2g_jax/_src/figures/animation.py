@@ -9,7 +9,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures._sheets import empty_sheet, most_columns
 from dc2g_jax._src.figures._video import Picture, frequent_colors, h264_encoder, write_gif, write_mp4
 from dc2g_jax._src.figures.costs import COST_COLORS, exact_cost_to_go, highest_cost
@@ -27,6 +26,7 @@ from dc2g_jax._src.figures.replay import Frames, running_extra_steps
 from dc2g_jax._src.figures.results_figures import planner_style
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax._src.readers.houses import House, tell_on_stderr
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Pixels per inch.
 _DPI = 120

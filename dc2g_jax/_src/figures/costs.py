@@ -11,8 +11,8 @@ from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.figures.replay import Frames
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.runtime.programs import jit
 
 #: Color map of the cost-to-go, starting at the goal; its ends differ in grayscale.
 COST_COLORS = "viridis_r"

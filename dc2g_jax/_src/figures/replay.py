@@ -19,10 +19,10 @@ from dc2g_jax._src.planning.frontiers import frontier_cells
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, distances_and_scores, reachable_cells
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import NO_ACTION
+from dc2g_jax._src.runtime.programs import jit
 
 #: Steps replayed by one call on the device, so that one compiled program serves episodes of every length.
 _CHUNK = 64

@@ -17,11 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
 from dc2g_jax._src.planning.named import PLANNERS
 from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, Families, in_order
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Width of figures, inches: the two columns of a page, so that text has its final size.
 PAGE_WIDTH = 7.16

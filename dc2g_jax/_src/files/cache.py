@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import pooch
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 
 
 def cache_folder() -> Path:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.png import bands, read_png, write_png
 from dc2g_jax._src.files.tables import read_table, whole_cell, write_table
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
+from dc2g_jax._src.runtime.errors import InputError, short
 
 #: The palette of a dataset, in its folder.
 PALETTE_FILE = "labels_colors.csv"

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.reading import TEXT, read_bytes
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Pixels of a part of an image, see `bands`.
 _PIXELS_AT_ONCE = 2**22

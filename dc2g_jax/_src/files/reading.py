@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dc2g_jax._src.errors import InputError, check_number, short
+from dc2g_jax._src.runtime.errors import InputError, check_number, short
 
 #: Largest sizes, in bytes: of files of facts, such as the card of a network; of other texts; of pictures and arrays.
 FACTS, TEXT, PIXELS = 2**20, 2**26, 2**28

@@ -9,9 +9,9 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Generic, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.reading import check_file
 from dc2g_jax._src.files.tables import table_lines, write_table
+from dc2g_jax._src.runtime.errors import InputError, short
 
 #: A row of the file: a NamedTuple of strings, numbers and booleans, whose fields are the columns. Its first fields
 #: identify the result.

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from io import BufferedIOBase
 from pathlib import Path
 
-from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.files.atomic import replacing
 from dc2g_jax._src.files.reading import check_file, opened, read_lines
+from dc2g_jax._src.runtime.errors import InputError, check_number, short
 
 #: Most bytes of a line, and of a table that is read as a whole.
 _LONGEST_LINE, _LARGEST_TABLE = 2**20, 2**22

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
 from dc2g_jax._src.grid.loops import for_each_until, repeated, until
-from dc2g_jax._src.programs import apart
+from dc2g_jax._src.runtime.programs import apart
 
 WORD_BITS = 32
 

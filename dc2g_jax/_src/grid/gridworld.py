@@ -12,12 +12,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Int, UInt8, UInt32
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose, moved
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.windows import window_around
 from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.runtime.errors import InputError
 
 
 @struct.dataclass

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, PATH, TRAVERSABLE, UNKNOWN
+from dc2g_jax._src.runtime.errors import check_number
 
 ClassImage = npt.NDArray[np.uint8]
 Grid = TypeVar("Grid", np.ndarray, jax.Array)

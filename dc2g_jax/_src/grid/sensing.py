@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Int, Shaped, UInt, UInt32
 from scipy import ndimage
 
-from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import WORD_BITS, Board
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
-from dc2g_jax._src.programs import apart
+from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax._src.runtime.programs import apart
 
 #: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
 MAX_SENSING_RANGE = 64

@@ -9,7 +9,7 @@ from jaxtyping import Array, UInt8, UInt32
 
 from dc2g_jax._src.grid import bitboard, terrain
 from dc2g_jax._src.grid.bitboard import Board
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.programs import jit
 
 
 @struct.dataclass

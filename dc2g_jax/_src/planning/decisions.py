@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD, HEADINGS
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
+from dc2g_jax._src.runtime.errors import InputError
 
 #: Names of the headings; y grows to the south.
 HEADING_NAMES = ("east", "south", "west", "north")

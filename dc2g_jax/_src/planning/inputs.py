@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax._src.errors import InputError, check_number, short
+from dc2g_jax._src.runtime.errors import InputError, check_number, short
 
 
 def map_of(name: str, cells: npt.ArrayLike, kind: type, give: str) -> np.ndarray:

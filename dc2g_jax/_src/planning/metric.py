@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Bool, Int, UInt8
 
-from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import belief_from_map
@@ -24,7 +23,8 @@ from dc2g_jax._src.planning.decisions import explain
 from dc2g_jax._src.planning.metric_map import DrawnMap, MetricMap, MetricPose, class_of_values, draw, in_map_frame
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Planner
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.errors import InputError, check_number
+from dc2g_jax._src.runtime.programs import jit
 
 #: A robot within this distance of its subgoal, in meters, or within a cell, has reached it. Nav2 stops within 0.25 m.
 _ARRIVAL = 0.3

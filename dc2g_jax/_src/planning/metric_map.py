@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import UInt8
 
-from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.grid.map_frame import MapFrame
 from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.grid.sampling import sample_conservatively
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, FRONT_DOOR, NOTHING, OCCUPIED, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.planning.decisions import RobotPose
 from dc2g_jax._src.planning.inputs import map_of, numbers_of
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 
 #: An occupancy grid's cell is free up to the first value, occupied from the second, in percent, and unknown between.
 #: Nav2 saves maps with these thresholds.

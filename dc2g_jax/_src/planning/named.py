@@ -7,17 +7,17 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells, trait
 from dc2g_jax._src.grid.streets import in_town
-from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.frontiers import facing_most
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
-from dc2g_jax._src.plugins import plugins
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.own_parts import own_part
+from dc2g_jax._src.runtime.plugins import plugins
 
 #: Patience of planners with a network in the gridworld, where every decision is a step.
 STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)

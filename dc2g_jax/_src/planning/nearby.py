@@ -16,7 +16,7 @@ from dc2g_jax._src.grid.bitboard import WORD_BITS, Board
 from dc2g_jax._src.grid.gridworld import BOARDS, Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.windows import Window, window_around
-from dc2g_jax._src.programs import apart
+from dc2g_jax._src.runtime.programs import apart
 
 #: Words and rows of a window: 15 cells or more on either side of the robot.
 _WORDS, _ROWS = 2, 48

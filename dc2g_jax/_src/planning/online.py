@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import bitboard, poses
@@ -30,7 +29,8 @@ from dc2g_jax._src.planning.inputs import map_of, numbers_of
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import Assessment, Planner, assess, distances_and_scores, memoryless
 from dc2g_jax._src.planning.rules import Rules, complete_rules
-from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
+from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
 #: Planners that only need the robot's map, and no memory.
 ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")

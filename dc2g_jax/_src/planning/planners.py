@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, extent_of, update_where
 from dc2g_jax._src.estimation.extents import TownWindow
 from dc2g_jax._src.estimation.padding import mirrored, padded
@@ -32,7 +31,8 @@ from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.nearby import Decided, nearby
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, Selection, mean_of
-from dc2g_jax._src.programs import apart
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import apart
 
 #: Plan modes.
 EXPLORE, TO_GOAL, GAVE_UP = 0, 1, 2

@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, every_heading, with_headings
 from dc2g_jax._src.grid.sensing import Kernel, check_sensing_range, expanding_kernel, field_of_view, line_of_sight
-from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.planning import frontiers
+from dc2g_jax._src.runtime.errors import InputError, short
+from dc2g_jax._src.runtime.own_parts import own_part
 
 
 @dataclasses.dataclass(frozen=True)

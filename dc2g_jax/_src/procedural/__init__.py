@@ -6,13 +6,13 @@ robot that starts on the road can reach a front door in the map's 50x50 grid.
 
 import numpy as np
 
-from dc2g_jax._src.errors import check_name, check_number
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.sampling import ClassImage, sample_grid
 from dc2g_jax._src.grid.terrain import ROAD
 from dc2g_jax._src.procedural._city import draw_city
 from dc2g_jax._src.procedural.drawing import first_usable
 from dc2g_jax._src.procedural.suburbs import SUBURBS, draw_suburb
+from dc2g_jax._src.runtime.errors import check_name, check_number
 
 #: Styles of the four neighborhoods. No training house of the default dataset is "urban".
 STYLES: tuple[str, ...] = (*SUBURBS, "urban")

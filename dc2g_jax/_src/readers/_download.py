@@ -18,9 +18,9 @@ import pooch
 import requests
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.cache import cache_folder
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.runtime.errors import InputError
 
 #: The authors' files at the pinned commit, and mirrors, tried in turn if the first answers "no such file". Checksums
 #: make the source irrelevant.

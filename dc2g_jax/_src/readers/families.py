@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.readers.houses import NAMED, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
+from dc2g_jax._src.runtime.errors import InputError
 
 #: The name of the family of published houses.
 PUBLISHED = "published"

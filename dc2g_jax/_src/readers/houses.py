@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.errors import InputError, check_name, check_number, check_seed, short
 from dc2g_jax._src.files.class_images import PALETTE_FILE, read_class_image, read_palette
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.own_parts import is_own_part, own_part
-from dc2g_jax._src.plugins import plugins
 from dc2g_jax._src.procedural import procedural_houses
 from dc2g_jax._src.readers._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax._src.readers.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, check_seed, short
+from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
+from dc2g_jax._src.runtime.plugins import plugins
 
 SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
 _IMAGE_FOLDER = "full_semantic"

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import UInt8
 
-from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
 from dc2g_jax._src.files.reading import check_file, finite_number, read_array
 from dc2g_jax._src.files.tables import read_table, whole_cell
@@ -17,6 +16,7 @@ from dc2g_jax._src.grid.ground import why_no_path
 from dc2g_jax._src.grid.sampling import ClassImage, sample_grid
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, OccupancyMap, read_occupancy_map
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 
 #: Splits of a dataset, in order; also the folders of their maps.
 SPLITS = ("train", "val", "test")

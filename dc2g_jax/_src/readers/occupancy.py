@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt, UInt8
 
-from dc2g_jax._src.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.files.png import MOST_PIXELS, bands, read_png
 from dc2g_jax._src.files.reading import finite_number, read_bytes, read_yaml
 from dc2g_jax._src.grid.map_frame import MapFrame
 from dc2g_jax._src.grid.sampling import sample_conservatively
 from dc2g_jax._src.grid.terrain import FREE, OCCUPIED, UNKNOWN
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, short
 
 #: File endings of occupancy maps.
 YAML_ENDINGS = (".yaml", ".yml")

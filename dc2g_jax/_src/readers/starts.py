@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from dc2g_jax._src.errors import InputError, check_number, check_seed
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.files.tables import table_lines, whole_cell
 from dc2g_jax._src.grid.ground import connected_to_goal, why_no_path
@@ -18,6 +17,7 @@ from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
 from dc2g_jax._src.readers.houses import SPLIT_FILES, House, HouseDataset
+from dc2g_jax._src.runtime.errors import InputError, check_number, check_seed
 
 
 class Start(NamedTuple):

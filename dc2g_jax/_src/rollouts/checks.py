@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
@@ -19,9 +18,10 @@ from dc2g_jax._src.grid.sensing import Kernel, field_of_view
 from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, sensing_of
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
+from dc2g_jax._src.runtime.errors import InputError, short
+from dc2g_jax._src.runtime.programs import jit
 
 #: Range of the field of view in cells, for planners without rules.
 _SENSING_RANGE = 5

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import gridworld
@@ -34,9 +33,10 @@ from dc2g_jax._src.readers.houses import (
     stack_worlds,
 )
 from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult, Results, rows_of
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, short
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 #: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dc2g_jax._src.errors import check_name, short
 from dc2g_jax._src.files.rows import write_rows
 from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS
@@ -16,6 +15,7 @@ from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.rollout import Trajectories
 from dc2g_jax._src.rollouts.statistics import Summary, extra_steps, summarize
+from dc2g_jax._src.runtime.errors import check_name, short
 
 #: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
 _ROUNDING = 0.1

@@ -22,8 +22,7 @@ from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Plan, Planner, asks, sensing_of
-from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
-from dc2g_jax._src.rollouts.devices import (
+from dc2g_jax._src.runtime.devices import (
     deal,
     dealt_counts,
     gather,
@@ -33,6 +32,7 @@ from dc2g_jax._src.rollouts.devices import (
     replicate,
     serve_paced,
 )
+from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
@@ -400,7 +400,7 @@ def rollout(
       sensing: field of view of the robots; `None` for that of the planner's rules. Planners without rules need one.
       step_limit: actions after which an episode ends without success.
       slots: number of robots simulated side by side on each device; `None` for the default of the device.
-      devices: devices to run on; `None` for all, see `rollouts.devices.use_devices`.
+      devices: devices to run on; `None` for all, see `runtime.devices.use_devices`.
       keep_actions: whether to keep the actions, one byte per episode and step.
       on_progress: called between calls of the device with the number of finished episodes.
 

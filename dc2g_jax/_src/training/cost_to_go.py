@@ -14,10 +14,10 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt32
 
-from dc2g_jax._src.errors import check_number
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.losses import LOSSES, Loss, map_loss, named_loss
 from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of

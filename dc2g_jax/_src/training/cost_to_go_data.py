@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, UInt8
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, world_cost_to_go
 from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid import bitboard
@@ -24,10 +23,11 @@ from dc2g_jax._src.grid.sensing import check_sensing_range, field_of_view
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.procedural import procedural_training_houses
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds, tell_on_stderr
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+from dc2g_jax._src.runtime.errors import InputError, check_number, short
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import DrawBatch
 from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
 from dc2g_jax._src.training.pairs import Pair, TrainingSet, draw_pairs

@@ -21,10 +21,10 @@ import optax
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError, check_number
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
-from dc2g_jax._src.rollouts.devices import fetch, first_copy, in_any_process, mesh_for_batch, replicate, settle
+from dc2g_jax._src.runtime.devices import fetch, first_copy, in_any_process, mesh_for_batch, replicate, settle
+from dc2g_jax._src.runtime.errors import InputError, check_number
 from dc2g_jax._src.training.step import Supervised, TrainingState, first_state, placed, stacked, supervised_step
 from dc2g_jax._src.training.tracking import Curve, Image, TrackerName, run_folder
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.own_parts import own_part
+from dc2g_jax._src.runtime.errors import InputError, short
+from dc2g_jax._src.runtime.own_parts import own_part
 
 #: What losses get, in units of the network's cost scale, and the levels of the estimated quantiles.
 _Estimate = Float[Array, "h w quantiles"]

@@ -12,7 +12,6 @@ from flax import struct
 from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, Int8, UInt8, UInt32
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, world_cost_to_go
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.bitboard import Board
@@ -22,9 +21,10 @@ from dc2g_jax._src.grid.sensing import Kernel, covered, field_of_view, kernel_ru
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, Ask, Assessment, Planner
 from dc2g_jax._src.planning.rules import Rules, nearest_goal
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.runtime.devices import deal, gather, mesh_of, on_each, replicate
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import jit
 
 _EPISODES_PER_CALL = 128
 

@@ -12,8 +12,8 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import RUNS, divide, platform, replicate, settle
+from dc2g_jax._src.runtime.devices import RUNS, divide, platform, replicate, settle
+from dc2g_jax._src.runtime.programs import jit
 
 
 @struct.dataclass
@@ -149,7 +149,7 @@ def supervised_step(
     """Take one optimizer step of one run, or of several whose states are stacked. The old state is donated.
 
     The batch is divided among the devices of a mesh, and so are the runs, which a CPU takes one after another, see
-    `rollouts.devices.mesh_for_batch`. A batch only depends on the data, the hyperparameters and the number of the step,
+    `runtime.devices.mesh_for_batch`. A batch only depends on the data, the hyperparameters and the number of the step,
     so interrupted and resumed training gives the same weights as training without interruption on the same devices.
     With another number of devices, a step differs by rounding. Steps are not combined into a longer program: inside a
     `scan`, XLA's CPU backend computes gradients of convolutions about ten times slower.

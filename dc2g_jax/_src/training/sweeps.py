@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from dc2g_jax._src.errors import InputError, check_number, short
 from dc2g_jax._src.estimation.compact_unet import multiply_accumulates
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.files.atomic import write_json
@@ -24,6 +23,7 @@ from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.tables import write_table
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.evaluation import evaluate
+from dc2g_jax._src.runtime.errors import InputError, check_number, short
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, open_training_set
 from dc2g_jax._src.training.loop import PAUSES, Log, Pauses

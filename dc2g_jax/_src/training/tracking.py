@@ -11,9 +11,9 @@ import jax
 import numpy as np
 from jaxtyping import UInt8
 
-from dc2g_jax._src.errors import InputError, require_extra
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.tables import table_lines, write_table
+from dc2g_jax._src.runtime.errors import InputError, require_extra
 
 #: Names of trackers, and of the extras that install their packages.
 TrackerName = Literal["tensorboard", "wandb", "trackio"]

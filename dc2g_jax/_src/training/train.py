@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 
-from dc2g_jax._src.errors import InputError, check_name, check_number
 from dc2g_jax._src.estimation.checkpoints import CARD, keep_config, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
@@ -17,10 +16,11 @@ from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
-from dc2g_jax._src.rollouts.devices import require_memory
 from dc2g_jax._src.rollouts.evaluation import evaluate
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import Results
+from dc2g_jax._src.runtime.devices import require_memory
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, least_memory, validation_error
 from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,

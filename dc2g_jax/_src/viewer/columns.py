@@ -12,7 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, Int, UInt8
 
-from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.viewer.legend import ROBOT_COLOR, TRAJECTORY_COLOR
 
 #: Name of the timeline: actions of a robot, or steps of an optimizer.

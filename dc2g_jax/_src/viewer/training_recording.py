@@ -15,16 +15,16 @@ import rerun.blueprint as rrb
 from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid.terrain import FIGURE_RGB
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import episodes_from
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import training_set
 from dc2g_jax._src.training.masks import Masks, collect_masks

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
 from dc2g_jax._src.files.rows import read_rows
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.benchmarks.extents import Window, WindowedEstimator
 from experiments.studies import unknown_dimensions
 from experiments.studies.unknown_dimensions import (

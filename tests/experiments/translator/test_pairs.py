@@ -10,11 +10,11 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.sampling import resize_nearest, sample_grid
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House, HouseDataset, load_dataset
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.translator.drawn_masks import drawn_masks
 from experiments.translator.images import cost_to_go_image, largest_cost
 from experiments.translator.pairs import (

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.weights import with_weights
+from dc2g_jax._src.runtime.errors import InputError
 from experiments.translator.network import Discriminator
 from experiments.translator.pairs import ImageSet
 from experiments.translator.training import (

@@ -11,8 +11,8 @@ import sys
 from typing import Annotated, Any, NoReturn, Union
 
 from dc2g_jax._src.cli import prepare
-from dc2g_jax._src.errors import InputError, reader_may_leave
-from dc2g_jax._src.plugins import plugins
+from dc2g_jax._src.runtime.errors import InputError, reader_may_leave
+from dc2g_jax._src.runtime.plugins import plugins
 
 #: The package's commands by name: module and description. `COMMANDS` of a plug-in has the same form.
 _OWN = "dc2g_jax._src.cli.commands"

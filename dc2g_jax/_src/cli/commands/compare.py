@@ -15,9 +15,7 @@ from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_plann
 from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import RUN_FILE, output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.results_figures import plot_leaderboard
-from dc2g_jax._src.own_parts import is_own_part
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.families import FAMILIES, family_of, gather
@@ -25,8 +23,10 @@ from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start, sample_starts
 from dc2g_jax._src.rollouts.evaluation import Runner, by_name
 from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, REFERENCE, families_of, page
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.own_parts import is_own_part
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 
 @dataclasses.dataclass(frozen=True)

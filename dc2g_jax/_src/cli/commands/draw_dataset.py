@@ -8,9 +8,9 @@ from tqdm import tqdm
 
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.contact_sheets import contact_pages, plot_contact_page
 from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.runtime.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)

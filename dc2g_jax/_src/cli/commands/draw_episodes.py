@@ -11,13 +11,13 @@ from tqdm import tqdm
 from dc2g_jax._src.cli.common import PlannersOption
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.figures.episode_figures import plot_trajectories
 from dc2g_jax._src.figures.results_figures import plot_results
 from dc2g_jax._src.files.rows import read_rows
 from dc2g_jax._src.readers.houses import group_of, open_dataset
 from dc2g_jax._src.readers.starts import published_episodes
 from dc2g_jax._src.rollouts.results import EpisodeResult
+from dc2g_jax._src.runtime.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)

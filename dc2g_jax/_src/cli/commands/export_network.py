@@ -7,8 +7,8 @@ from typing import Annotated
 import tyro
 
 from dc2g_jax._src.cli.outputs import CommandOptions
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.runtime.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,9 +17,9 @@ from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import read_starts
 from dc2g_jax._src.rollouts.evaluation import Runner, by_name
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import as_text
 from dc2g_jax._src.rollouts.statistics import summarize
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 
 @dataclasses.dataclass(frozen=True)

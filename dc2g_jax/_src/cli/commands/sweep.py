@@ -13,10 +13,10 @@ import jax
 from dc2g_jax._src.cli.common import digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.figures.training_figures import plot_sweep
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import LOSSES

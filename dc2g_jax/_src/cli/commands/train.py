@@ -13,10 +13,10 @@ import tyro
 from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
-from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import newest_step
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 
 @pytest.mark.parametrize("leave", [True, False])

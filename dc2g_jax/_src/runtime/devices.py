@@ -16,7 +16,7 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Int
 
-from dc2g_jax._src.errors import InputError, check_number
+from dc2g_jax._src.runtime.errors import InputError, check_number
 
 #: The mesh's axis, and the one that trainings of several runs have before it.
 AXIS, RUNS = "devices", "runs"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dc2g_jax._src.errors import InputError, check_name, check_number, short
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, short
 from tests.support.refusals import refusal
 
 

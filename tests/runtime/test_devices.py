@@ -12,8 +12,8 @@ import pytest
 from dc2g_jax._src.procedural import draw_house
 from dc2g_jax._src.readers.houses import load_dataset
 from dc2g_jax._src.readers.starts import sample_starts
-from dc2g_jax._src.rollouts import devices
-from dc2g_jax._src.rollouts.devices import (
+from dc2g_jax._src.runtime import devices
+from dc2g_jax._src.runtime.devices import (
     cores,
     deal,
     dealt_counts,

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from dc2g_jax._src.errors import InputError, check_name
+from dc2g_jax._src.runtime.errors import InputError, check_name
 
 _OWN = re.compile(r"[^\W\d][\w.]*:[^\W\d]\w*")
 

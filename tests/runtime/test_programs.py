@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src import programs
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.runtime import programs
+from dc2g_jax._src.runtime.programs import jit
 from tests.support.places import ROOT
 
 #: Where a user's class enters a compiled program; see `tests.support.collisions`.
