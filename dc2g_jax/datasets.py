@@ -1,28 +1,11 @@
 """Houses, maps and starts."""
 
 from dc2g_jax._src.files.class_images import read_palette as read_palette
-from dc2g_jax._src.procedural import procedural_training_houses as procedural_training_houses
-from dc2g_jax._src.procedural.drawing import (
-    PictureFrame as PictureFrame,
-    Placement as Placement,
-    Points as Points,
-    Polygons as Polygons,
-    Range as Range,
-    Sketch as Sketch,
-    first_usable as first_usable,
-    rectangle as rectangle,
-    resample as resample,
-    ribbon as ribbon,
-    stroke as stroke,
-    uniform as uniform,
-)
-from dc2g_jax._src.procedural.lots import door_outline as door_outline, tapered as tapered, walkway as walkway
 from dc2g_jax._src.readers.houses import (
     PROCEDURAL as PROCEDURAL,
     House as House,
     HouseDataset as HouseDataset,
     open_dataset as open_dataset,
-    procedural_dataset as procedural_dataset,
     stack_worlds as stack_worlds,
     tell_on_stderr as tell_on_stderr,
 )

@@ -1,6 +1,12 @@
 """The gridworld as pure functions of arrays, batch axes last: terrain, poses, sets of cells, search and sensing."""
 
-from dc2g_jax._src.grid import bitboard as bitboard, gridworld as gridworld, poses as poses, search as search
+from dc2g_jax._src.grid import (
+    bitboard as bitboard,
+    gridworld as gridworld,
+    poses as poses,
+    search as search,
+    terrain as terrain,
+)
 from dc2g_jax._src.grid.bitboard import Board as Board
 from dc2g_jax._src.grid.fast_marching import geodesic_distance as geodesic_distance, travel_cost as travel_cost
 from dc2g_jax._src.grid.gridworld import (
@@ -9,7 +15,11 @@ from dc2g_jax._src.grid.gridworld import (
     reset as reset,
     step as step,
 )
-from dc2g_jax._src.grid.ground import component_numbers as component_numbers, connected_to as connected_to
+from dc2g_jax._src.grid.ground import (
+    component_numbers as component_numbers,
+    connected_to as connected_to,
+    connected_to_goal as connected_to_goal,
+)
 from dc2g_jax._src.grid.label_noise import (
     NoiseLevels as NoiseLevels,
     chance as chance,

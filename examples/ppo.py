@@ -24,26 +24,13 @@ from jaxtyping import Array, Float, Int
 from tqdm import tqdm
 
 from dc2g_jax import InputError
-from dc2g_jax.datasets import (
-    House,
-    open_dataset,
-    procedural_training_houses,
-    sample_starts,
-    stack_worlds,
-    why_no_episode,
-)
+from dc2g_jax.datasets import House, open_dataset, sample_starts, stack_worlds, why_no_episode
 from dc2g_jax.environments import FrontDoor, Params, State, front_door
 from dc2g_jax.estimation import fresh_weights, with_weights, write_safetensors
-from dc2g_jax.families import plain_maps
+from dc2g_jax.families import plain_maps, procedural_training_houses
 from dc2g_jax.grid import sample_grid
 from dc2g_jax.inspection import save_learning_curve
-from dc2g_jax.planning import (
-    GAVE_UP,
-    Frontier,
-    Oracle,
-    Rules,
-    complete_rules,
-)
+from dc2g_jax.planning import GAVE_UP, Frontier, Oracle, Rules, complete_rules
 from dc2g_jax.rivals import PolicyInputs, RecurrentNetwork, RecurrentPolicy
 from dc2g_jax.rollouts import episodes_from, rollout
 

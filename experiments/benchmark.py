@@ -107,9 +107,7 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     repeats = options.repeats or (2 if options.quick else 5)
     workload = make_workload(
-        dataset,
-        per_house=1 if options.quick else options.starts_per_house,
-        most_houses=4 if options.quick else None,
+        dataset, per_house=1 if options.quick else options.starts_per_house, most_houses=4 if options.quick else None
     )
     network = load_network(options.network)
     if not isinstance(network, NetworkCostToGo):

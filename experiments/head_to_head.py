@@ -15,13 +15,7 @@ from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.figures.results_figures import (
-    GROUP_LABELS,
-    PAGE_WIDTH,
-    SCALE_NOTE,
-    save_figure,
-    scale_extra_steps,
-)
+from dc2g_jax._src.figures.results_figures import GROUP_LABELS, PAGE_WIDTH, SCALE_NOTE, save_figure, scale_extra_steps
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.readers.houses import open_dataset

@@ -28,11 +28,7 @@ from experiments.translator.evaluation import metrics_over_pairs
 from experiments.translator.figures import plot_training
 from experiments.translator.network import TRANSLATOR, TranslatorArchitecture, TranslatorCostToGo
 from experiments.translator.pairs import ImageSet, MaskKind, draw_image_pairs, image_set
-from experiments.translator.training import (
-    TRANSLATOR_LOSSES,
-    TranslatorConfig,
-    TranslatorTraining,
-)
+from experiments.translator.training import TRANSLATOR_LOSSES, TranslatorConfig, TranslatorTraining
 
 #: Steps between progress updates. A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
@@ -147,10 +143,7 @@ def train_translators(
       InputError: a folder holds a run with other options.
     """
     draw = partial(
-        draw_image_pairs,
-        batch_size=config.batch_size,
-        whole_share=options.whole_share,
-        augment=not options.no_augment,
+        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
     )
     configs = {run: dataclasses.replace(config, seed=seed) for run, seed in seeds.items()}
     card = {

@@ -75,12 +75,7 @@ def drawn(planners: Sequence[str]) -> list[str]:
 
 
 def record(
-    out: Path,
-    dataset: HouseDataset,
-    settings: str,
-    results: list[EpisodeResult],
-    network: Estimator | None,
-    count: int,
+    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: Estimator | None, count: int
 ) -> None:
     """Write rerun recordings and figures of `count` episodes, spread evenly."""
     rules = SETTINGS[settings].rules()

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, Range, first_usable, sampled, uniform
+from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, sampled
+from dc2g_jax.families.procedural.drawing import Range, first_usable, uniform
 from dc2g_jax.grid import (
     BUSH,
     CAR,
@@ -250,8 +251,13 @@ def draw_town(seed: int, columns: int, rows: int) -> ClassImage:
     return first_usable(lambda rng: _draw(rng, columns, rows), seed, (), f"town of {columns} x {rows} cells")
 
 
+def towns(**_: object) -> HouseDataset:
+    """All towns, each on its own grid, whatever grid and split are asked for."""
+    return _towns()
+
+
 @functools.cache
-def towns() -> HouseDataset:
+def _towns() -> HouseDataset:
     """100 towns to choose on, and 100 that are kept aside. Their sizes take turns."""
     houses = []
     for number, split in enumerate(["val"] * 100 + ["test"] * 100):

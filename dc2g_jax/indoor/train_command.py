@@ -28,13 +28,7 @@ from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.indoor.learning.data import JourneySet
 from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, TrainedEncoder, load_encoder
-from dc2g_jax.indoor.learning.networks import (
-    COST_MAPS,
-    ENCODER_FOLDER,
-    INPUT_CHANNELS,
-    CostMapArchitecture,
-    Inputs,
-)
+from dc2g_jax.indoor.learning.networks import COST_MAPS, ENCODER_FOLDER, INPUT_CHANNELS, CostMapArchitecture, Inputs
 from dc2g_jax.indoor.learning.training import (
     RECIPES,
     CostMapConfig,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, spatial
 
-from dc2g_jax.datasets import (
+from dc2g_jax.families import (
     PictureFrame,
     Placement,
     Points,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dc2g_jax.datasets import PictureFrame, Points, Polygons, Sketch, ribbon, stroke
+from dc2g_jax.families import PictureFrame, Points, Polygons, Sketch, ribbon, stroke
 from dc2g_jax.osm.extract import Area, Extract, Line, Tags, is_street
 
 #: Widths of streets where they are not mapped, meters; of others than these, and of a lane.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dc2g_jax.datasets import Points
+from dc2g_jax.families import Points
 from dc2g_jax.files import check_file
 from dc2g_jax.runtime import InputError, check_number, require_extra
 

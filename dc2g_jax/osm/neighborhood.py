@@ -12,7 +12,8 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy import spatial
 
-from dc2g_jax.datasets import House, HouseDataset, PictureFrame, Sketch, resample, sampled
+from dc2g_jax.datasets import House, HouseDataset, sampled
+from dc2g_jax.families import PictureFrame, Sketch, resample
 from dc2g_jax.grid import (
     FRONT_DOOR,
     ROAD,

@@ -13,15 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .problem import (
-    BASELINES,
-    BaselineName,
-    BaselineUnavailable,
-    HeadingOffsets,
-    Outcome,
-    Problem,
-    empty_outcome,
-)
+from .problem import BASELINES, BaselineName, BaselineUnavailable, HeadingOffsets, Outcome, Problem, empty_outcome
 
 _SOURCE = Path(__file__).with_name("gridworld.c")
 FLAGS = ("-std=c99", "-O3", "-march=native", "-shared", "-fPIC")

@@ -49,20 +49,11 @@ def _own_kernels(bench: Bench, batch: int) -> dict[str, tuple[Callable[..., Any]
             functools.partial(frontiers.reference, expanding=expanding),
             (belief, reachable),
         ),
-        "frontier-expanding, complete": (
-            functools.partial(frontiers.complete, sensing=sensing),
-            (belief, reachable),
-        ),
+        "frontier-expanding, complete": (functools.partial(frontiers.complete, sensing=sensing), (belief, reachable)),
         "first action": (search.first_action, (belief.pose, subgoals, reachable)),
-        "all distances": (
-            lambda pose, reachable: search.distances(pose, reachable, width),
-            (belief.pose, reachable),
-        ),
+        "all distances": (lambda pose, reachable: search.distances(pose, reachable, width), (belief.pose, reachable)),
         "cost-to-go, 8-connected": (search.cost_to_go, cells),
-        "first action to the goal": (
-            search.first_action,
-            (belief.pose, every_heading(world.goals), world.traversable),
-        ),
+        "first action to the goal": (search.first_action, (belief.pose, every_heading(world.goals), world.traversable)),
     }
 
 

@@ -28,14 +28,7 @@ from dc2g_jax._src.rollouts.statistics import house_bootstrap
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax.indoor.learning import networks
-from dc2g_jax.indoor.learning.data import (
-    LOCAL,
-    NORMALIZATIONS,
-    UPRIGHT,
-    JourneySet,
-    Samples,
-    draw_samples,
-)
+from dc2g_jax.indoor.learning.data import LOCAL, NORMALIZATIONS, UPRIGHT, JourneySet, Samples, draw_samples
 from dc2g_jax.indoor.learning.losses import (
     FIVE_ACTIONS,
     LOSS_WEIGHTS,
@@ -83,10 +76,7 @@ def one_map(
     """One task: a single map, the sum of both decoders' outputs, is the cost, and `BLOCKED` where no robot fits."""
     navigable = ~occupied & jnp.isfinite(cost)
     ours, label = one_cost(prediction), jnp.where(occupied, BLOCKED, cost)
-    losses = {
-        "cost": cost_loss(ours, label, navigable | occupied),
-        "direction": direction_loss(ours, cost, navigable),
-    }
+    losses = {"cost": cost_loss(ours, label, navigable | occupied), "direction": direction_loss(ours, cost, navigable)}
     return sum((LOSS_WEIGHTS[name] * loss for name, loss in losses.items()), jnp.float32(0)), losses
 
 

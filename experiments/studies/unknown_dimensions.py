@@ -21,7 +21,6 @@ from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import UNKNOWN
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS
-from dc2g_jax._src.procedural.suburbs import SUBURBS
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
@@ -29,6 +28,7 @@ from dc2g_jax._src.rollouts.results import Results, as_text
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
+from dc2g_jax.families.procedural.suburbs import SUBURBS
 from experiments.support.neighborhoods import draw_neighborhood
 
 from ..benchmarks.decisions import milliseconds

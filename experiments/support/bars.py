@@ -22,10 +22,7 @@ from dc2g_jax._src.rollouts.results import Table
 from dc2g_jax._src.runtime.errors import InputError
 
 #: Titles of figures by settings.
-TITLES = {
-    "published": "The 400 published episodes, 5-cell sensing",
-    "paper": "Sampled starts, 8-cell sensing",
-}
+TITLES = {"published": "The 400 published episodes, 5-cell sensing", "paper": "Sampled starts, 8-cell sensing"}
 
 
 def _rounded(value: float) -> str:

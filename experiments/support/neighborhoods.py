@@ -3,12 +3,12 @@
 import numpy as np
 
 from dc2g_jax._src.grid.sampling import ClassImage, sample_grid
-from dc2g_jax._src.procedural import STYLES, is_usable
-from dc2g_jax._src.procedural._streets import Curb, Streets, lay_streets, wander
-from dc2g_jax._src.procedural.drawing import PictureFrame, Sketch, first_usable, traveled, uniform
-from dc2g_jax._src.procedural.lots import Suburb, build_lot
-from dc2g_jax._src.procedural.suburbs import SUBURBS, choose_sidewalks, fits, street_cars, view
 from dc2g_jax._src.runtime.errors import check_name, check_number
+from dc2g_jax.families.procedural import STYLES, is_usable
+from dc2g_jax.families.procedural._streets import Curb, Streets, lay_streets, wander
+from dc2g_jax.families.procedural.drawing import PictureFrame, Sketch, first_usable, traveled, uniform
+from dc2g_jax.families.procedural.lots import Suburb, build_lot
+from dc2g_jax.families.procedural.suburbs import SUBURBS, choose_sidewalks, fits, street_cars, view
 
 #: Side of a single house's map in cells, and side of a cell of a larger map in pixels.
 _HOUSE_CELLS, _PIXELS_A_CELL = 50, 4

@@ -13,14 +13,7 @@ from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax.indoor.maps.mapping import square, window
 from dc2g_jax.indoor.search.agent import Agent, cost_of_pose, weighed
 from dc2g_jax.indoor.search.guides import predicted_costs, true_costs
-from dc2g_jax.indoor.search.searches import (
-    IndoorRobot,
-    IndoorSite,
-    act_on,
-    is_active,
-    look_and_decide,
-    picture,
-)
+from dc2g_jax.indoor.search.searches import IndoorRobot, IndoorSite, act_on, is_active, look_and_decide, picture
 from experiments.support.search_figures import PredictedMap, SearchMoment
 
 

@@ -97,11 +97,7 @@ def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.nda
 
 
 def plot_training(
-    path: str | Path,
-    runs: Mapping[str, Sequence[Mapping[int, Mapping[str, Any]]]],
-    caption: str,
-    *,
-    window: int,
+    path: str | Path, runs: Mapping[str, Sequence[Mapping[int, Mapping[str, Any]]]], caption: str, *, window: int
 ) -> None:
     """Draw Fig. 5: validation metrics during training, one curve per loss.
 

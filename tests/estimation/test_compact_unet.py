@@ -235,10 +235,7 @@ OWN = Architecture(network=f"{__name__}:Own")
         (f"{__name__}:Mismatched", ["Mismatched'", "50 x 50 cells", "3 // 1 != 16"]),
         (f"{__name__}:Twofold", ["Twofold'", "answers with a tuple", "one array"]),
         (f"{__name__}:Dropping", ["Dropping'", "drop.rngs.count is a RngCount of uint32", "no Dropout"]),
-        (
-            f"{__name__}:Normalized",
-            ["Normalized'", "norm.mean is a BatchStat", "GroupNorm in place of BatchNorm"],
-        ),
+        (f"{__name__}:Normalized", ["Normalized'", "norm.mean is a BatchStat", "GroupNorm in place of BatchNorm"]),
     ],
 )
 def test_what_is_no_network_is_refused(name, words):

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.readers.houses import procedural_dataset
 from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax.families import procedural_dataset
 from experiments import benchmark
 from experiments.baselines.problem import BaselineUnavailable
 from experiments.benchmark import Section

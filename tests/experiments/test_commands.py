@@ -24,9 +24,9 @@ from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD
-from dc2g_jax._src.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
 from dc2g_jax._src.readers.houses import load_dataset
 from dc2g_jax._src.readers.starts import sample_starts
+from dc2g_jax.families.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
 from dc2g_jax.indoor import train_command as objectnav_train
 from experiments import (
     head_to_head,

@@ -12,11 +12,7 @@ def test_cache_folder_from_the_environment(variable, tmp_path, monkeypatch):
     for name in ("DC2G_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv(variable, str(tmp_path))
-    expected = {
-        "DC2G_CACHE": tmp_path,
-        "XDG_CACHE_HOME": tmp_path / "dc2g_jax",
-        "HOME": tmp_path / ".cache/dc2g_jax",
-    }
+    expected = {"DC2G_CACHE": tmp_path, "XDG_CACHE_HOME": tmp_path / "dc2g_jax", "HOME": tmp_path / ".cache/dc2g_jax"}
     assert cache_folder() == expected[variable]
 
 

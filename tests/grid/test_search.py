@@ -31,11 +31,7 @@ def searching(shape: tuple[int, int]):
 
 
 @each_shape
-@given(
-    seed=maps.seeds,
-    density=maps.densities,
-    target_density=st.sampled_from([0.0, 0.005, 0.02, 0.2, 1.0]),
-)
+@given(seed=maps.seeds, density=maps.densities, target_density=st.sampled_from([0.0, 0.005, 0.02, 0.2, 1.0]))
 @settings(max_examples=40)
 def test_first_action_and_distances(shape, seed, density, target_density):
     free = maps.random_cells(seed, shape, density)

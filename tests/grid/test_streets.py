@@ -8,7 +8,8 @@ from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.streets import in_town, is_town, street_width
 from dc2g_jax._src.grid.terrain import GRASS, ROAD, UNKNOWN
-from dc2g_jax._src.readers.houses import open_dataset, procedural_dataset
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax.families import procedural_dataset
 
 SHAPES = ((34, 75), (34, 104))
 

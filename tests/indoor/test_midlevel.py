@@ -12,13 +12,7 @@ from dc2g_jax._src.training.loop import Log, Pauses, fit
 from dc2g_jax._src.training.step import learn
 from dc2g_jax.indoor.houses.plans import world_from_plan
 from dc2g_jax.indoor.houses.worlds import painted, scene
-from dc2g_jax.indoor.learning.midlevel import (
-    ENCODER,
-    Answers,
-    EncoderArchitecture,
-    TrainedEncoder,
-    load_encoder,
-)
+from dc2g_jax.indoor.learning.midlevel import ENCODER, Answers, EncoderArchitecture, TrainedEncoder, load_encoder
 from dc2g_jax.indoor.learning.networks import load_costs
 from dc2g_jax.indoor.learning.training import EncoderTraining, encoder_task, task_losses
 from dc2g_jax.indoor.maps.camera import VIEW_SIZE, CameraView, view

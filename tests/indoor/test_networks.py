@@ -95,10 +95,7 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     # Obstacles and explored cells are shown to all.
     maps = question[0].copy()
     maps[:, ~semantic] = 1 - maps[:, ~semantic]
-    assert not np.allclose(
-        answers("midlevel", weights, question, maps=maps),
-        answers("midlevel", weights, question),
-    )
+    assert not np.allclose(answers("midlevel", weights, question, maps=maps), answers("midlevel", weights, question))
 
 
 def test_features_lie_where_the_robot_looks():

@@ -5,13 +5,7 @@ import pytest
 
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.indoor.houses.plans import Furniture, world_from_plan
-from dc2g_jax.indoor.houses.worlds import (
-    approaches,
-    padded_alike,
-    sample_starts,
-    scene,
-    start_cells,
-)
+from dc2g_jax.indoor.houses.worlds import approaches, padded_alike, sample_starts, scene, start_cells
 from dc2g_jax.indoor.maps.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
 from dc2g_jax.robot.mapping.camera import level_camera
 from dc2g_jax.robot.mapping.simulator import cast

@@ -16,7 +16,7 @@ from dc2g_jax._src.figures.replay import Frames, replay
 from dc2g_jax._src.grid.poses import ACTION_LETTERS
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax._src.planning.planners import MODE_NAMES
-from dc2g_jax._src.procedural import PROCEDURAL_SPLIT
+from dc2g_jax.families.procedural import PROCEDURAL_SPLIT
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.places import ROOT
 
@@ -46,7 +46,7 @@ def walk(house: str) -> tuple[oracle.Pose, np.ndarray]:
 
     No planner decides them, so a planner that changes does not change what is observed.
     """
-    terrain = dc2g.datasets.procedural_dataset().house(house).terrain
+    terrain = dc2g.open_dataset("procedural").house(house).terrain
     rng = np.random.default_rng(HOUSES.index(house))
     free = np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
     y, x = np.nonzero(terrain == ROAD)
@@ -87,7 +87,7 @@ def decisions(name: str, settings: str) -> list[Decision]:
     made = []
     for house in HOUSES:
         start, actions = walk(house)
-        world = dc2g.World.from_terrain(dc2g.datasets.procedural_dataset().house(house).terrain)
+        world = dc2g.World.from_terrain(dc2g.open_dataset("procedural").house(house).terrain)
         frames = replay(world, dc2g.make_pose(*start), actions, planner=planner, rules=rules)
         moments = np.linspace(0, len(actions) - 1, MOMENTS).astype(int).tolist()
         head = {"planner": name, "rules": settings, "house": house}

@@ -10,18 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from dc2g_jax import families
 from dc2g_jax._src.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
 from dc2g_jax._src.readers import houses as houses_module
 from dc2g_jax._src.readers._download import NetworkUnavailable
-from dc2g_jax._src.readers.houses import (
-    House,
-    HouseDataset,
-    group_of,
-    load_dataset,
-    open_dataset,
-    procedural_dataset,
-)
+from dc2g_jax._src.readers.houses import House, HouseDataset, group_of, load_dataset, open_dataset
 from dc2g_jax._src.runtime.errors import InputError
 from tests.files.pngs import chunk, png
 from tests.support.houses import save_dataset
@@ -162,15 +156,7 @@ def test_interlaced_and_opaque_rgba_images_and_embedded_extras(tmp_path, palette
     rgba = np.dstack([CLASS_COLORS[classes], np.full(classes.shape, 255, np.uint8)])
     (tmp_path / "rgba.png").write_bytes(png(rgba, 6))
     rgb = CLASS_COLORS[classes]
-    passes = (
-        (0, 0, 8, 8),
-        (4, 0, 8, 8),
-        (0, 4, 4, 8),
-        (2, 0, 4, 4),
-        (0, 2, 2, 4),
-        (1, 0, 2, 2),
-        (0, 1, 1, 2),
-    )
+    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
     raw = b"".join(b"\0" + row.tobytes() for x, y, dx, dy in passes for row in rgb[y::dy, x::dx] if row.size)
     header = struct.pack(">2I5B", 13, 11, 8, 2, 0, 0, 1)
     parts = [(b"IHDR", header), (b"IDAT", zlib.compress(raw)), (b"IEND", b"")]
@@ -392,12 +378,7 @@ def test_images_without_their_list(folder):
 
 
 def test_paths_that_are_no_dataset(folder, tmp_path):
-    refusal(
-        lambda: load_dataset(tmp_path / "nowhere"),
-        tmp_path / "nowhere",
-        "is no folder",
-        "labels_colors.csv",
-    )
+    refusal(lambda: load_dataset(tmp_path / "nowhere"), tmp_path / "nowhere", "is no folder", "labels_colors.csv")
     refusal(lambda: load_dataset(folder / "labels_colors.csv"), "is no folder", "give a folder")
     (tmp_path / "empty").mkdir()
     refusal(lambda: load_dataset(tmp_path / "empty"), tmp_path / "empty", "empty", "labels_colors.csv")
@@ -433,14 +414,7 @@ def test_houses_are_told_apart_by_what_they_hold():
 
 
 def test_wrong_grid_size(folder):
-    refusal(
-        lambda: load_dataset(folder, cells=61),
-        first_image(folder),
-        "wrong grid size",
-        "70 x 60",
-        "61",
-        "60 cells",
-    )
+    refusal(lambda: load_dataset(folder, cells=61), first_image(folder), "wrong grid size", "70 x 60", "61", "60 cells")
     refusal(lambda: load_dataset(folder, cells=0), folder, "0 cells", "at least 1")
     write_class_image(first_image(folder), drawing(0, 200, 49))
     refusal(lambda: load_dataset(folder), first_image(folder), "wrong grid size", "49 x 200", "50 x 50", "larger")
@@ -470,7 +444,7 @@ def lines(monkeypatch) -> list[str]:
 @pytest.fixture
 def few_procedural(monkeypatch) -> HouseDataset:
     dataset = HouseDataset("procedural", "procedural", ())
-    monkeypatch.setattr(houses_module, "procedural_dataset", lambda *, cells: dataset)
+    monkeypatch.setattr(families, "procedural_dataset", lambda **_: dataset)
     return dataset
 
 
@@ -487,12 +461,7 @@ def test_location_comes_before_the_environment(folder, tmp_path, monkeypatch, li
 
 
 def test_a_location_that_was_asked_for_is_never_replaced(folder, tmp_path, monkeypatch, lines, few_procedural):
-    refusal(
-        lambda: open_dataset(tmp_path / "gone", log=lines.append),
-        tmp_path / "gone",
-        "not a folder",
-        "give",
-    )
+    refusal(lambda: open_dataset(tmp_path / "gone", log=lines.append), tmp_path / "gone", "not a folder", "give")
     for location in ("", "~nobody-of-this-name/houses", "x" * 5000):
         refusal(lambda location=location: open_dataset(location), repr(location)[:150], "not a folder", "give")
     monkeypatch.setenv("DC2G_DATA", str(tmp_path / "gone"))
@@ -525,29 +494,6 @@ def test_a_fetched_dataset_is_loaded(folder, monkeypatch, lines):
     monkeypatch.setattr(houses_module, "fetch_dataset", lambda: folder)
     assert open_dataset(log=lines.append).name == "mine"
     assert lines == []
-
-
-def test_procedural_houses_are_sampled_like_images_and_survive_saving(tmp_path, monkeypatch):
-    images = [("p000m000h000", "train", drawing(1)), ("p004m000h000", "test", drawing(2, 90, 55))]
-    seeds: list[int] = []
-    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed, split: seeds.append(seed) or images)
-    draw_dataset = procedural_dataset.__wrapped__  # past its cache
-    dataset = draw_dataset()
-    assert (dataset.name, dataset.source) == ("procedural", "procedural")
-    assert draw_dataset(3).name == "procedural-3"
-    assert seeds == [0, 3]
-    loaded = load_dataset(save_dataset(images, tmp_path / "saved"))
-    for one, other in zip(dataset.houses, loaded.houses, strict=True):
-        assert (one.name, one.split) == (other.name, other.split)
-        np.testing.assert_array_equal(one.terrain, other.terrain)
-    refusal(lambda: draw_dataset(cells=56), "p004m000h000", "wrong grid size", "55 x 90")
-
-
-def test_one_split_of_the_procedural_houses_is_that_of_all():
-    some, every = procedural_dataset(split="val"), procedural_dataset().split("val")
-    assert [house.name for house in some.houses] == [house.name for house in every]
-    for house, other in zip(some.houses, every, strict=True):
-        np.testing.assert_array_equal(house.terrain, other.terrain)
 
 
 OWN = HouseDataset("own", "folder", (House("yard", "test", np.full((2, 2), ROAD, np.uint8)),))

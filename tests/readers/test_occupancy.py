@@ -78,10 +78,7 @@ def test_goals_in_meters_and_in_cells(tmp_path):
     assert np.argwhere(terrain == FRONT_DOOR).tolist() == [[2, 3], [39, 0]]
     coarse = read_map(path, goals=[Goal(1.99, 1.49, "meters")], cells=(6, 4))
     assert np.argwhere(coarse == FRONT_DOOR).tolist() == [[0, 5]]
-    refusal(
-        lambda: read_map(path, goals=[Goal(1e308, -1e308, "meters")]),
-        "in meters lies far off the map",
-    )
+    refusal(lambda: read_map(path, goals=[Goal(1e308, -1e308, "meters")]), "in meters lies far off the map")
     refusal(
         lambda: read_map(path, goals=[Goal(-1.01, 0, "meters")]),
         path, "goal (-1.01, 0) in meters lies at column -1", "off the map of 60 x 40 cells",

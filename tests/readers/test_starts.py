@@ -5,7 +5,7 @@ import pytest
 
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
-from dc2g_jax._src.readers.houses import House, HouseDataset, procedural_dataset
+from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import (
     Start,
     published_episodes,
@@ -16,6 +16,7 @@ from dc2g_jax._src.readers.starts import (
     why_no_episode,
 )
 from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax.families import procedural_dataset
 from tests.support.refusals import refusal
 
 

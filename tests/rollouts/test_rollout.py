@@ -15,17 +15,7 @@ from dc2g_jax._src.grid.poses import LEFT_ACTION, every_heading, make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.bounded import Bounded
-from dc2g_jax._src.planning.planners import (
-    DC2G,
-    EXPLORE,
-    GAVE_UP,
-    TO_GOAL,
-    Frontier,
-    Oracle,
-    Plan,
-    Planner,
-    asks,
-)
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle, Plan, Planner, asks
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from dc2g_jax._src.planning.selection import QuantileCost
 from dc2g_jax._src.rollouts import rollout as rollout_module

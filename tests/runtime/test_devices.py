@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax._src.procedural import draw_house
 from dc2g_jax._src.readers.houses import load_dataset
 from dc2g_jax._src.readers.starts import sample_starts
 from dc2g_jax._src.runtime import devices
@@ -28,6 +27,7 @@ from dc2g_jax._src.runtime.devices import (
     use_cores,
     use_devices,
 )
+from dc2g_jax.families.procedural import draw_house
 from tests.support.houses import save_dataset
 from tests.support.places import ROOT
 from tests.support.refusals import refusal

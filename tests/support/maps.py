@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.procedural import draw_house
 from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax.families.procedural import draw_house
 
 #: Map sizes (height, width): single cells and lines, and widths on both sides of the word boundaries.
 SHAPES = ((1, 1), (1, 40), (33, 1), (9, 31), (8, 32), (7, 33), (5, 63), (6, 64), (5, 65))

@@ -27,14 +27,7 @@ from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
-from dc2g_jax._src.training.sweeps import (
-    Sweep,
-    group_by_shape,
-    in_turns,
-    named_losses,
-    runs_of_grid,
-    sweep,
-)
+from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, in_turns, named_losses, runs_of_grid, sweep
 from tests.support import maps
 from tests.support.houses import STREET, house
 from tests.support.refusals import refusal

@@ -53,10 +53,7 @@ _ESTIMATOR = ExactCostToGo()
 # What `rollouts.evaluation.Runner` found from that start, written down: running it takes longer than all the
 # rest.
 _ORACLE_STEPS = 28
-_ACTIONS = {
-    "frontier": "LLFFFFFFFFFFFFFFFFRFFFFLLLLFRFFF",
-    "true_cost_to_go": "LLFFFFFFFFFFFFFFFFRFFFFFRFFF",
-}
+_ACTIONS = {"frontier": "LLFFFFFFFFFFFFFFFFRFFFFLLLLFRFFF", "true_cost_to_go": "LLFFFFFFFFFFFFFFFFRFFFFFRFFF"}
 
 
 def _result(planner, actions):

@@ -203,10 +203,7 @@ _ONE_COLUMN = 20
 
 
 def plot_results(
-    results: Iterable[EpisodeResult],
-    path: str | Path,
-    group_by_house: Mapping[str, str] | None = None,
-    title: str = "",
+    results: Iterable[EpisodeResult], path: str | Path, group_by_house: Mapping[str, str] | None = None, title: str = ""
 ) -> list[Path]:
     """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
 

@@ -14,13 +14,7 @@ from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, every_heading
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.planners import (
-    Assessment,
-    Planner,
-    explore_or_finish,
-    observed_terrain,
-    reachable_cells,
-)
+from dc2g_jax._src.planning.planners import Assessment, Planner, explore_or_finish, observed_terrain, reachable_cells
 from dc2g_jax._src.planning.rules import Rules
 
 #: Scores of poses, or values of them.

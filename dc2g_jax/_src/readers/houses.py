@@ -1,7 +1,6 @@
 """Houses as class grids: the published dataset, folders in its format, folders of maps, and procedural houses."""
 
 import collections
-import functools
 import hashlib
 import os
 import re
@@ -15,10 +14,9 @@ import numpy as np
 from dc2g_jax._src.files.class_images import PALETTE_FILE, read_class_image, read_palette
 from dc2g_jax._src.files.tables import read_table
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.procedural import procedural_houses
 from dc2g_jax._src.readers._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax._src.readers.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
-from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, check_seed, short
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
 from dc2g_jax._src.runtime.plugins import plugins
 
@@ -33,7 +31,7 @@ PROCEDURAL = "procedural"
 _BY_PLUGINS = plugins("datasets")
 
 #: Locations that are words instead of folders.
-NAMED = (PROCEDURAL, *_BY_PLUGINS)
+NAMED = (PROCEDURAL, *(name for name in _BY_PLUGINS if name != PROCEDURAL))
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
 
@@ -167,24 +165,6 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
         raise InputError(f"{where}: cannot be read ({error.strerror}); allow reading or copy it") from None
 
 
-@functools.lru_cache(maxsize=4)
-def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | None = None) -> HouseDataset:
-    """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
-
-    With a `split`, the others are not drawn: drawing all takes seconds.
-
-    Raises:
-      InputError: the seed is invalid, or `cells` is less than 1 or more than the maps have pixels.
-    """
-    check_seed(seed)
-    name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
-    houses = (
-        House(house, of, sampled(f"procedural house {house}", classes, cells))
-        for house, of, classes in procedural_houses(seed, split)
-    )
-    return HouseDataset(name, PROCEDURAL, tuple(houses))
-
-
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Read a folder of maps of any size, see `readers.maps.read_map_folder`."""
     folder = Path(folder)
@@ -206,6 +186,7 @@ def open_dataset(
     location: str | os.PathLike[str] | None = None,
     *,
     cells: int | None = 50,
+    split: str | None = None,
     log: Callable[[str], None] = tell_on_stderr,
 ) -> HouseDataset:
     """Open a dataset, by default the published one.
@@ -219,6 +200,7 @@ def open_dataset(
             'procedural', 'towns', 'mazes', 'halls', 'offices' and 'floor_plans'; or `package.module:Name` for a
             `HouseDataset` of your own, or a function that returns one.
         cells: side of the square grids of published and procedural houses; `None` for no sampling.
+        split: the only split that is needed, if there is one; drawing the others may take seconds.
         log: receives the line about the fallback.
 
     Raises:
@@ -228,9 +210,9 @@ def open_dataset(
     if cells is not None:
         check_number("cells", cells, whole=True, least=1)
     if location is not None:
-        return _open_location(os.fspath(location), "the dataset location", cells)
+        return _open_location(os.fspath(location), "the dataset location", cells, split)
     if os.environ.get("DC2G_DATA"):
-        return _open_location(os.environ["DC2G_DATA"], "DC2G_DATA", cells)
+        return _open_location(os.environ["DC2G_DATA"], "DC2G_DATA", cells, split)
     try:
         folder = fetch_dataset()
     except NetworkUnavailable as reason:
@@ -239,15 +221,13 @@ def open_dataset(
             "procedural houses instead. To use the published houses, pass --dataset FOLDER or set DC2G_DATA: a copy of "
             f"{ORIGIN}."
         )
-        return procedural_dataset(cells=cells)
+        return _BY_PLUGINS[PROCEDURAL].load()(cells=cells, split=split)
     return load_dataset(folder, cells=cells)
 
 
-def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
-    if location == PROCEDURAL:
-        return procedural_dataset(cells=cells)
+def _open_location(location: str, setting: str, cells: int | None, split: str | None) -> HouseDataset:
     if location in _BY_PLUGINS:
-        return _BY_PLUGINS[location].load()()
+        return _BY_PLUGINS[location].load()(cells=cells, split=split)
     if is_own_part(location):
         return _own_dataset(location)
     try:

@@ -24,14 +24,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
 from dc2g_jax._src.planning.planners import GAVE_UP, Oracle, Planner, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
-from dc2g_jax._src.readers.houses import (
-    PROCEDURAL,
-    House,
-    HouseDataset,
-    open_dataset,
-    procedural_dataset,
-    stack_worlds,
-)
+from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.results import EpisodeResult, Results, rows_of
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -165,14 +158,7 @@ class Runner:
                 self._progress(name, finished, len(starts))
 
         report(0)  # before minutes of compilation, perhaps
-        done = rollout(
-            planner,
-            worlds,
-            episodes,
-            sensing=rules.sensing,
-            step_limit=self.step_limit,
-            on_progress=report,
-        )
+        done = rollout(planner, worlds, episodes, sensing=rules.sensing, step_limit=self.step_limit, on_progress=report)
         estimator, gave_up = getattr(planner, "estimator", None), np.flatnonzero(done.mode == GAVE_UP)
         if estimator is not None and gave_up.size:
             first = int(gave_up[0])
@@ -187,10 +173,7 @@ class Runner:
         return done
 
     def run(
-        self,
-        starts: Sequence[Start],
-        planners: Planners,
-        network: Estimator | Mapping[str, Estimator] | None = None,
+        self, starts: Sequence[Start], planners: Planners, network: Estimator | Mapping[str, Estimator] | None = None
     ) -> list[EpisodeResult]:
         """Run planners from every start.
 
@@ -349,8 +332,7 @@ def evaluate(
     if not isinstance(dataset, HouseDataset | str | os.PathLike | None):
         raise InputError(f"dataset {short(type(dataset).__name__)}: give a `HouseDataset`, a folder of maps, or a name")
     if not isinstance(dataset, HouseDataset):
-        only = {"split": split} if starts is None else {}
-        dataset = procedural_dataset(**only) if dataset == PROCEDURAL else open_dataset(dataset)
+        dataset = open_dataset(dataset, split=split if starts is None else None)
     if starts is None:
         houses = usable_houses(dataset, split, instead="use another split")
         starts = sample_starts(houses, starts_per_house, seed=seed)

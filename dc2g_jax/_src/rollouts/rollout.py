@@ -22,16 +22,7 @@ from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Plan, Planner, asks, sensing_of
-from dc2g_jax._src.runtime.devices import (
-    deal,
-    dealt_counts,
-    gather,
-    mesh_of,
-    on_each,
-    platform,
-    replicate,
-    serve_paced,
-)
+from dc2g_jax._src.runtime.devices import deal, dealt_counts, gather, mesh_of, on_each, platform, replicate, serve_paced
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
 #: Step limit of an episode in the published results.

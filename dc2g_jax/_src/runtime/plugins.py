@@ -1,7 +1,9 @@
 """What installed packages add to `dc2g_jax` by entry points, so that nothing here has to know of them.
 
-Groups: `dc2g_jax.commands` (tables of commands, see `cli.commands.COMMANDS`), `dc2g_jax.datasets` (functions without
-arguments that return a `HouseDataset`, by the word that stands for it), `dc2g_jax.dataset_folders` (functions that
+Groups: `dc2g_jax.commands` (tables of commands, see `cli.commands.COMMANDS`), `dc2g_jax.datasets` (functions that
+return a `HouseDataset`, by the word that stands for it; they get what `open_dataset` was given as `cells` and `split`,
+which maps on grids of their own may ignore), `dc2g_jax.training_houses` (functions of a number and a seed that return
+class indices of so many maps to train on), `dc2g_jax.dataset_folders` (functions that
 return the `HouseDataset` in a folder, or `None` if the folder has another layout), `dc2g_jax.planners` (classes that
 are called with the rules) and `dc2g_jax.network_planners` (called with the rules and `estimator=`).
 """

@@ -22,11 +22,11 @@ from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.sensing import check_sensing_range, field_of_view
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
-from dc2g_jax._src.procedural import procedural_training_houses
-from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds, tell_on_stderr
+from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset, stack_worlds, tell_on_stderr
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.runtime.errors import InputError, check_number, short
+from dc2g_jax._src.runtime.plugins import plugins
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import DrawBatch
 from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
@@ -130,7 +130,7 @@ class DataConfig:
 
 def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
     """Procedural houses on a grid of `cells` x `cells`."""
-    images = procedural_training_houses(count, seed)
+    images = plugins("training_houses")[PROCEDURAL].load()(count, seed)
     return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
 
 

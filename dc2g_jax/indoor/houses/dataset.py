@@ -132,7 +132,7 @@ def indoor_house(
 _MAP_CELLS, _FEWEST_ROOMS, _MAPS = 50, 4, 100
 
 
-def floor_plan_dataset(seed: int = 0) -> HouseDataset:
+def floor_plan_dataset(seed: int = 0, **_: object) -> HouseDataset:
     """Procedural houses seen from above, as maps without classes: free or occupied cells, and a door to find.
 
     The longer side of a house fills the map. Houses have four rooms at least; the door is a free cell at random.

@@ -31,13 +31,7 @@ from dc2g_jax.indoor.learning.losses import (
     named_loss,
     occupancy_scores,
 )
-from dc2g_jax.indoor.learning.midlevel import (
-    BLOCK,
-    ENCODER,
-    Answers,
-    EncoderArchitecture,
-    SmallEncoder,
-)
+from dc2g_jax.indoor.learning.midlevel import BLOCK, ENCODER, Answers, EncoderArchitecture, SmallEncoder
 from dc2g_jax.indoor.learning.networks import CostMapArchitecture, Prediction
 from dc2g_jax.indoor.maps.camera import CameraView
 from dc2g_jax.indoor.maps.classes import OBJECT_CLASSES

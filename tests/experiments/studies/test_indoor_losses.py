@@ -26,10 +26,7 @@ def maps(seed):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "weights"),
-    [("no_direction", (1, 1.5, 0)), ("cost_alone", (0, 1.5, 1))],
-)
+@pytest.mark.parametrize(("name", "weights"), [("no_direction", (1, 1.5, 0)), ("cost_alone", (0, 1.5, 1))])
 def test_a_loss_is_the_papers_without_a_part(name, weights):
     sample = maps(0)
     _, parts = named_loss("paper")(*sample)

@@ -14,13 +14,7 @@ from dc2g_jax._src.grid.search import EIGHT_CONNECTED
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.readers.houses import House
 from experiments.translator.drawn_masks import drawn_masks
-from experiments.translator.evaluation import (
-    as_floats,
-    compare,
-    full_map_metrics,
-    map_for,
-    metrics_over_pairs,
-)
+from experiments.translator.evaluation import as_floats, compare, full_map_metrics, map_for, metrics_over_pairs
 from experiments.translator.images import in_eight_bits
 from experiments.translator.metrics import HouseMetrics, compare_images
 from experiments.translator.network import Generator, TranslatorArchitecture, TranslatorCostToGo, init_weights

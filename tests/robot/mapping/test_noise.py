@@ -7,13 +7,7 @@ import pytest
 from dc2g_jax._src.grid.label_noise import scaled
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, GRASS, ROAD
 from dc2g_jax.robot.mapping.camera import Frame, level_camera
-from dc2g_jax.robot.mapping.noise import (
-    PAPER_LIKE,
-    NoiseLevels,
-    drift_on,
-    drifted,
-    noisy_frame,
-)
+from dc2g_jax.robot.mapping.noise import PAPER_LIKE, NoiseLevels, drift_on, drifted, noisy_frame
 
 noisy = jax.jit(noisy_frame)
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax._src.procedural._streets import Curb
-from dc2g_jax._src.procedural.drawing import (
+from dc2g_jax.families.procedural._streets import Curb
+from dc2g_jax.families.procedural.drawing import (
     Placement,
     Points,
     Polygons,

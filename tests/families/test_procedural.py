@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax._src import procedural
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.terrain import (
     CAR,
@@ -21,20 +20,23 @@ from dc2g_jax._src.grid.terrain import (
     SIDEWALK,
     TRAVERSABLE,
 )
-from dc2g_jax._src.procedural import (
+from dc2g_jax._src.readers.houses import group_of, load_dataset, open_dataset
+from dc2g_jax.families import procedural
+from dc2g_jax.families.procedural import (
     PROCEDURAL_SPLIT,
     STYLES,
     draw_house,
     house_seed,
     is_usable,
+    procedural_dataset,
     procedural_houses,
     procedural_training_houses,
     training_house_seed,
 )
-from dc2g_jax._src.procedural._filling import fill_polygons
-from dc2g_jax._src.readers import houses as houses_module
-from dc2g_jax._src.readers.houses import group_of, open_dataset
+from dc2g_jax.families.procedural._filling import fill_polygons
+from tests.support.houses import save_dataset
 from tests.support.places import SHARED
+from tests.support.refusals import refusal
 
 DRAWN = {FRONT_DOOR, GRASS, ROAD, DRIVEWAY, CAR, PATH, HOUSE, SIDEWALK}
 
@@ -148,7 +150,7 @@ def test_the_split_counts_are_those_of_the_published_files():
 
 
 def test_the_dataset_has_the_published_split_and_all_groups(houses, monkeypatch):
-    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed, split: houses)  # drawn once
+    monkeypatch.setattr(procedural, "procedural_houses", lambda seed, split: houses)  # drawn once
     dataset = open_dataset("procedural")
     assert [len(dataset.split(split)) for split in ("train", "val", "test")] == [31, 4, 42]
     assert len({house.name for house in dataset.houses}) == 77
@@ -265,3 +267,29 @@ def test_polygons_are_filled_as_by_opencv(reach):
             cv2.fillPoly(wanted, [polygon], 1)
         fill_polygons(found, corners, sizes)
         np.testing.assert_array_equal(found, wanted)
+
+
+def test_procedural_houses_are_sampled_like_images_and_survive_saving(tmp_path, monkeypatch):
+    def drawing(seed: int, height: int = 60, width: int = 70) -> np.ndarray:
+        return np.random.default_rng(seed).integers(0, len(CLASS_COLORS), (height, width)).astype(np.uint8)
+
+    images = [("p000m000h000", "train", drawing(1)), ("p004m000h000", "test", drawing(2, 90, 55))]
+    seeds: list[int] = []
+    monkeypatch.setattr(procedural, "procedural_houses", lambda seed, split: seeds.append(seed) or images)
+    draw_dataset = procedural_dataset.__wrapped__  # past its cache
+    dataset = draw_dataset()
+    assert (dataset.name, dataset.source) == ("procedural", "procedural")
+    assert draw_dataset(3).name == "procedural-3"
+    assert seeds == [0, 3]
+    loaded = load_dataset(save_dataset(images, tmp_path / "saved"))
+    for one, other in zip(dataset.houses, loaded.houses, strict=True):
+        assert (one.name, one.split) == (other.name, other.split)
+        np.testing.assert_array_equal(one.terrain, other.terrain)
+    refusal(lambda: draw_dataset(cells=56), "p004m000h000", "wrong grid size", "55 x 90")
+
+
+def test_one_split_of_the_procedural_houses_is_that_of_all():
+    some, every = procedural_dataset(split="val"), procedural_dataset().split("val")
+    assert [house.name for house in some.houses] == [house.name for house in every]
+    for house, other in zip(some.houses, every, strict=True):
+        np.testing.assert_array_equal(house.terrain, other.terrain)

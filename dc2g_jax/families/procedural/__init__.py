@@ -4,15 +4,16 @@ Nothing is downloaded. A map is generated from streets, lots, driveways and walk
 robot that starts on the road can reach a front door in the map's 50x50 grid.
 """
 
+import functools
+
 import numpy as np
 
-from dc2g_jax._src.grid.ground import connected_to_goal
-from dc2g_jax._src.grid.sampling import ClassImage, sample_grid
-from dc2g_jax._src.grid.terrain import ROAD
-from dc2g_jax._src.procedural._city import draw_city
-from dc2g_jax._src.procedural.drawing import first_usable
-from dc2g_jax._src.procedural.suburbs import SUBURBS, draw_suburb
-from dc2g_jax._src.runtime.errors import check_name, check_number
+from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, sampled
+from dc2g_jax.families.procedural._city import draw_city
+from dc2g_jax.families.procedural.drawing import first_usable
+from dc2g_jax.families.procedural.suburbs import SUBURBS, draw_suburb
+from dc2g_jax.grid import ROAD, ClassImage, connected_to_goal, sample_grid
+from dc2g_jax.runtime import check_name, check_number
 
 #: Styles of the four neighborhoods. No training house of the default dataset is "urban".
 STYLES: tuple[str, ...] = (*SUBURBS, "urban")
@@ -86,6 +87,23 @@ def procedural_houses(seed: int = 0, split: str | None = None) -> list[tuple[str
         for index, (name, of, style) in enumerate(PROCEDURAL_SPLIT)
         if split in (None, of)
     ]
+
+
+@functools.lru_cache(maxsize=4)
+def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | None = None) -> HouseDataset:
+    """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
+
+    With a `split`, the others are not drawn: drawing all takes seconds.
+
+    Raises:
+      InputError: the seed is invalid, or `cells` is less than 1 or more than the maps have pixels.
+    """
+    name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
+    houses = (
+        House(house, of, sampled(f"procedural house {house}", classes, cells))
+        for house, of, classes in procedural_houses(seed, split)
+    )
+    return HouseDataset(name, PROCEDURAL, tuple(houses))
 
 
 def procedural_training_houses(count: int, seed: int) -> list[ClassImage]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax._src.procedural.drawing import (
+from dc2g_jax.families.procedural.drawing import (
     Placement,
     Points,
     Range,

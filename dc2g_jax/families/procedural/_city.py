@@ -5,9 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dc2g_jax._src.grid.sampling import ClassImage
-from dc2g_jax._src.procedural._streets import Curb, Sidewalks, Streets, lay_streets
-from dc2g_jax._src.procedural.drawing import (
+from dc2g_jax.families.procedural._streets import Curb, Sidewalks, Streets, lay_streets
+from dc2g_jax.families.procedural.drawing import (
     PictureFrame,
     Placement,
     Polygons,
@@ -24,7 +23,8 @@ from dc2g_jax._src.procedural.drawing import (
     uniform,
     view_around,
 )
-from dc2g_jax._src.procedural.lots import car
+from dc2g_jax.families.procedural.lots import car
+from dc2g_jax.grid import ClassImage
 
 #: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street toward negative y.
 Building = dict[str, Polygons]

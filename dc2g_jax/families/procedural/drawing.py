@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from dc2g_jax._src.grid import terrain
-from dc2g_jax._src.grid.sampling import ClassImage
-from dc2g_jax._src.procedural._filling import fill_polygons
-from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax.families.procedural._filling import fill_polygons
+from dc2g_jax.grid import ClassImage, terrain
+from dc2g_jax.runtime import check_number
 
 Points = npt.NDArray[np.float64]
 Polygons = list[Points]

@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from dc2g_jax._src.grid.sampling import ClassImage
-from dc2g_jax._src.procedural._streets import Curb, Sidewalks, Streets, lay_streets
-from dc2g_jax._src.procedural.drawing import (
+from dc2g_jax.families.procedural._streets import Curb, Sidewalks, Streets, lay_streets
+from dc2g_jax.families.procedural.drawing import (
     PictureFrame,
     Placement,
     Polygons,
@@ -17,7 +16,8 @@ from dc2g_jax._src.procedural.drawing import (
     uniform,
     view_around,
 )
-from dc2g_jax._src.procedural.lots import Lot, Suburb, build_lot, car
+from dc2g_jax.families.procedural.lots import Lot, Suburb, build_lot, car
+from dc2g_jax.grid import ClassImage
 
 #: Distance of the farthest neighbor of the main lot, meters.
 _REACH = 75.0
