@@ -8,7 +8,6 @@ from dc2g_jax._src.grid import (
     terrain as terrain,
 )
 from dc2g_jax._src.grid.bitboard import Board as Board
-from dc2g_jax._src.grid.fast_marching import geodesic_distance as geodesic_distance, travel_cost as travel_cost
 from dc2g_jax._src.grid.gridworld import (
     Belief as Belief,
     belief_from_map as belief_from_map,
@@ -26,6 +25,7 @@ from dc2g_jax._src.grid.label_noise import (
     mislabeled as mislabeled,
     scaled as scaled,
 )
+from dc2g_jax._src.grid.loops import until as until
 from dc2g_jax._src.grid.map_frame import MapFrame as MapFrame
 from dc2g_jax._src.grid.poses import (
     ACTION_LETTERS as ACTION_LETTERS,

@@ -16,7 +16,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax.grid import geodesic_distance, shifted, travel_cost
+from dc2g_jax.grid import shifted
+from dc2g_jax.indoor.maps.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.robot import CostOfPose
 
 #: An array of NumPy, on the host, or of JAX.

@@ -6,7 +6,7 @@ All metrics refer to the true house:
   Just around the end of a wall counts. A search without declaration in time fails, wherever the robot is.
 - SPL weights success by the length of the shortest path divided by that of the driven path, at most 1. The shortest
   path is that of the fast marching method for a robot with a body, to within 1 m of such an object. It is a few percent
-  too long where it runs across the grid, see `grid.geodesic_distance`.
+  too long where it runs across the grid, see `maps.fast_marching`.
 - DTS, the distance to success, is the length of the remaining path at the end, 0 for a success.
 - Acceleration and jerk are means of absolute values over the control periods of a search, along the path and in turns.
 """
@@ -19,10 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax.grid import geodesic_distance
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.maps.classes import NO_OBJECT, OBJECT_CLASSES
 from dc2g_jax.indoor.maps.cost_maps import REACH, straight_distance, with_tight_cells
+from dc2g_jax.indoor.maps.fast_marching import geodesic_distance
 from dc2g_jax.indoor.search.searches import Search, Searches
 from dc2g_jax.robot import CONTROL_PERIOD, cell_at
 from dc2g_jax.runtime import jit

@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
-from dc2g_jax.grid import FOUR_CONNECTED, geodesic_distance, scaled, shifted, travel_cost
+from dc2g_jax.grid import FOUR_CONNECTED, scaled, shifted
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
 from dc2g_jax.indoor.learning.networks import CostMapEstimator, load_costs
 from dc2g_jax.indoor.maps.camera import indoor_camera
 from dc2g_jax.indoor.maps.classes import GOALS, NO_OBJECT
 from dc2g_jax.indoor.maps.cost_maps import distance_to_object, inflated, without_specks
+from dc2g_jax.indoor.maps.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.indoor.maps.mapping import (
     EXPLORED_CHANNEL,
     OBSTACLE_CHANNEL,

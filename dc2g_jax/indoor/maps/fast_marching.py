@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax._src.grid.loops import until
+from dc2g_jax.grid import until
 
 #: Sweeps end when no value decreases by more than this share; rounding errors are smaller.
 _SETTLED = 1e-6
