@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import skfmm
 
-from dc2g_jax._src.grid import fast_marching
+from dc2g_jax.indoor.maps import fast_marching
 
 SHAPE = (40, 56)
 
