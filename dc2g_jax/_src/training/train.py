@@ -313,7 +313,7 @@ def train(
       split: split of the houses to evaluate in at the end, ten starts in each: `train`, `val` or `test`; `None` for no
         evaluation.
       track: tracker to send curves and pictures to: `tensorboard`, `wandb` or `trackio`.
-      recording: shows the training, such as `dc2g_jax._src.viewer.training_recording.TrainingRecording`.
+      recording: shows the training, such as `dc2g_jax.inspection.TrainingRecording`.
       picture: makes the pictures for the tracker.
       card: further facts for the card of the network.
 
