@@ -32,4 +32,3 @@ from dc2g_jax._src.viewer.columns import (
 )
 from dc2g_jax._src.viewer.legend import terrain_context as terrain_context
 from dc2g_jax._src.viewer.recording import record_episode as record_episode
-from dc2g_jax._src.viewer.training_recording import TrainingRecording as TrainingRecording

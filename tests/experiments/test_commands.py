@@ -341,7 +341,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path, compact_netw
 def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     out = tmp_path / "run"
     options = [
-        "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
+        "dc2g train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
         "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0, "--record",
         "--track", "tensorboard", "--loss", "l1,tests.training.test_losses:squares",
     ]  # fmt: skip
@@ -385,9 +385,9 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
 
     whole = run(*options(tmp_path / "whole"))
     assert whole.returncode == 0, whole.stderr
-    command = [str(argument) for argument in options(tmp_path / "killed")]
+    command = [str(argument) for argument in options(tmp_path / "killed")[1:]]
     process = subprocess.Popen(
-        [sys.executable, "-m", "dc2g_jax", *command[0].split()[1:], *command[1:]], cwd=ROOT, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "dc2g_jax", "sweep", *command], cwd=ROOT, stderr=subprocess.DEVNULL
     )
     states = tmp_path / "killed" / "runs"
     deadline = time.monotonic() + 200

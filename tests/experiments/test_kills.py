@@ -62,8 +62,7 @@ START = f"""
 import runpy, sys
 import {episodes.__name__} as episodes
 episodes.EPISODES_A_SHARD = 100
-name, *sys.argv[1:] = sys.argv[1:]
-runpy.run_module(f"experiments.{{name}}", run_name="__main__", alter_sys=True)
+runpy.run_module("dc2g_jax", run_name="__main__", alter_sys=True)
 """
 
 
@@ -121,7 +120,7 @@ def ranking(table: str) -> list[str]:
 def test_a_sweep(houses, tmp_path):
     def command(out: str) -> list[object]:
         return [
-            "dc2g sweep", "--dataset", houses, "--out", tmp_path / out, "--extra-houses", 0, "--starts-per-house", 1,
+            "sweep", "--dataset", houses, "--out", tmp_path / out, "--extra-houses", 0, "--starts-per-house", 1,
             "--masks-per-episode", 2, "--ranges", 6, "--steps", 4, "--batch-size", 4, "--widths", "2,2,2,2",
             "--losses", "l1", "l2", "--seeds", *range(RUNS // 2), "--validate-every", 0, "--split", "None",
             "--runs-at-once", 20,
@@ -150,7 +149,7 @@ def test_episodes(houses, tmp_path):
 
     def command(out: str) -> list[object]:
         return [
-            "run_episodes", "--starts", starts, "--dataset", houses, "--out", tmp_path / out, "--planner", "frontier",
+            "run", "--starts", starts, "--dataset", houses, "--out", tmp_path / out, "--planner", "frontier",
             "oracle", "--step-limit", 100,
         ]  # fmt: skip
 

@@ -382,7 +382,8 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
     def look() -> None:
         figures: list[dict[str, float]] = [{} for _ in names]
         if losses is not None:
-            columns = {"loss": losses, "learning_rate": fetch(task.training.learning_rate(numbers)(step - 1))}
+            rates = jnp.asarray(task.training.learning_rate(numbers)(step - 1))
+            columns = {"loss": losses, "learning_rate": fetch(rates)}
             for name, values in columns.items():
                 for own, value in zip(figures, np.broadcast_to(values, len(names)).tolist(), strict=True):
                     own[name] = value

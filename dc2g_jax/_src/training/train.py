@@ -101,17 +101,8 @@ def checked(
 ) -> Plan:
     """Check all names, numbers and houses of a training, before anything is written or computed.
 
-    Args:
-      dataset: see `train`.
-      runs: the configuration of each run.
-      data: see `train`.
-      pauses: see `train`.
-      split: see `train`.
-      track: see `train`.
-      validated: whether the dataset's validation houses are used.
-      drawn: whether episodes are run in procedural validation houses.
-      own_losses: losses that only this program knows.
-      at_once: number of runs that are trained together.
+    `validated` and `drawn` tell whether validation houses of the dataset, and procedural ones, are used; `at_once` how
+    many runs are trained together.
 
     Raises:
       InputError: something is invalid.
@@ -157,16 +148,8 @@ def train_runs(
 ) -> list[NetworkCostToGo]:
     """Train the networks of a plan, together if there are several, and save them at each validation.
 
-    Args:
-      out: folder of the training.
-      plan: the runs, which only differ in hyperparameters.
-      data: what batches are drawn from.
-      validate: `(network, step) ->` figures.
-      card: further facts for the card of each network.
-      pauses: when to validate and to save.
-      track: tracker to send curves and pictures to.
-      picture: makes pictures for a tracker.
-      **options: further attributes of the `Task`.
+    The runs of the plan only differ in hyperparameters. `validate` makes figures of `(network, step)`, `card` has
+    further facts for the card of each network, and `options` are further attributes of the `Task`.
     """
     recipe = plan.recipe.recipe
 
@@ -313,7 +296,7 @@ def train(
       split: split of the houses to evaluate in at the end, ten starts in each: `train`, `val` or `test`; `None` for no
         evaluation.
       track: tracker to send curves and pictures to: `tensorboard`, `wandb` or `trackio`.
-      recording: shows the training, such as `dc2g_jax.inspection.TrainingRecording`.
+      recording: shows the training, see `dc2g_jax.training.Recording`.
       picture: makes the pictures for the tracker.
       card: further facts for the card of the network.
 
