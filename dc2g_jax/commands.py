@@ -11,6 +11,7 @@ from dc2g_jax._src.cli.map_options import StartOption as StartOption, start_in a
 from dc2g_jax._src.cli.options import (
     DatasetOptions as DatasetOptions,
     NetworkOptions as NetworkOptions,
+    OptionalInt as OptionalInt,
     OutOptions as OutOptions,
     TrainingOptions as TrainingOptions,
     require_positive as require_positive,

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from dc2g_jax._src.cli.common import command_line, digests
-from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.options import DatasetOptions, OptionalInt, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null, output_folder, print_files
 from dc2g_jax._src.estimation.checkpoints import newest_step, write_network
 from dc2g_jax._src.files.atomic import write_json
@@ -65,7 +65,7 @@ class TranslationOptions(Pauses):
     size: int = TranslatorArchitecture.size
     base_filters: int = TranslatorArchitecture.base_filters
     compute_dtype: Literal["float32", "bfloat16"] = "float32"
-    validate_every: int | None = 500
+    validate_every: OptionalInt = 500
 
     def config(self, loss: str) -> TranslatorConfig:
         """The training configuration.

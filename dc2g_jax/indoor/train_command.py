@@ -14,6 +14,7 @@ import tyro
 
 from dc2g_jax.commands import (
     CommandOptions,
+    OptionalInt,
     TrainingOptions,
     check_seed,
     command_written,
@@ -100,7 +101,7 @@ class Options(TrainingOptions, Pauses, _CollectionOptions):
     steps: int = CostMapConfig.steps
     batch_size: int = CostMapConfig.batch_size
     seed: int = 0
-    validate_every: int | None = 1000
+    validate_every: OptionalInt = 1000
     validation_samples: int = 512
     minutes_per_checkpoint: float = 2.0
 

@@ -26,4 +26,4 @@ def test_decisions_are_timed_and_written_down(compact_network, tmp_path, capsys)
 @pytest.mark.parametrize("wrong", [{"calls": 0}, {"sensing_range": 0}, {"cells": ()}, {"cells": (50, 0)}])
 def test_numbers_that_are_none_are_refused(wrong, tmp_path):
     option = next(iter(wrong)).replace("_", "-")
-    refusal(lambda: main(Options(**wrong, out=tmp_path / "out")), f"--{option}", "1 or more")
+    refusal(lambda: main(Options(**wrong, out=tmp_path / "out")), f"--{option}", "give ")

@@ -57,7 +57,7 @@ def test_an_agent_with_a_network_also_shows_a_prediction(tmp_path):
         ({"target": "sofa"}, ("no class", "'sofa'", "plant, couch")),
         ({"target": "sink"}, ("two_rooms", "no sink", "give", "bed, plant, or another house")),
         ({"target": "couch"}, ("no couch", "two_rooms", "give", "bed, plant")),
-        ({"limit": 0}, ("--limit 0", "give 1 or more")),
+        ({"limit": 0}, ("--limit 0", "of at least 1")),
     ],
 )
 def test_what_is_not_there_is_refused(wrong, mentions, tmp_path):

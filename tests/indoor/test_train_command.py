@@ -49,7 +49,7 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     wrong.mkdir()
     (wrong / CARD).write_bytes(b"nothing")
     refusal(lambda: main(dataclasses.replace(options, encoder=wrong)), wrong)
-    refusal(lambda: main(dataclasses.replace(options, count=0)), "--count 0", "1 or more")
+    refusal(lambda: main(dataclasses.replace(options, count=0)), "--count 0", "at least 1")
     refusal(lambda: main(dataclasses.replace(options, patch=3)), "--patch 3", "give")
     for name, value in (("learning_rate", float("nan")), ("learning_rate", 0.0), ("steps", 0), ("batch_size", 0)):
         number = f"{name.replace('_', ' ')} {value}"

@@ -12,6 +12,9 @@ from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.tracking import TrackerName
 
+#: A whole number that may be left out.
+OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DatasetOptions(CommandOptions):
@@ -47,7 +50,7 @@ class StepLimitOptions(CommandOptions):
         ways to the goal are long.
     """
 
-    step_limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    step_limit: OptionalInt = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -83,6 +86,14 @@ class ResumeOptions(SharedOptions):
     resume: bool = False
 
 
+@dataclasses.dataclass(frozen=True)
+class _Data(DataConfig):
+    """The same, as its help shows it."""
+
+    extra_houses: OptionalInt = None
+    starts_per_house: OptionalInt = None
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DataOptions(CommandOptions):
     """Data of a training. As the last base of a command's options, it stands before what is said of machines.
@@ -91,7 +102,7 @@ class DataOptions(CommandOptions):
       data: houses and masks.
     """
 
-    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
+    data: tyro.conf.OmitArgPrefixes[_Data] = dataclasses.field(default_factory=_Data)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

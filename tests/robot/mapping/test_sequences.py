@@ -147,7 +147,7 @@ def test_colors_are_classes_by_the_palette(recording):
         ("groundtruth.txt", "1 1 2 x 0 0 0 1\n", ("line 1", "'x'")),
         ("groundtruth.txt", "1 1 2 1e308 0 0 0 1\n", ("line 1 has 1e+308", "give meters")),
         ("groundtruth.txt", "1 1 2 3 0 0 0 -1e200\n", ("line 1 has -1e+200",)),
-        ("groundtruth.txt", "1 1 2 nan 0 0 0 1\n", ("line 1", "'nan'")),
+        ("groundtruth.txt", "1 1 2 nan 0 0 0 1\n", ("line 1", "nan")),
         ("groundtruth.txt", poses(7.0), ("none of its 3 depth images", "0.02 s")),
         ("groundtruth.txt", "", ("none of its 3 depth images",)),
         ("depth.txt", "1.0\n", ("line 1", "1 values, not 2")),
@@ -157,7 +157,7 @@ def test_colors_are_classes_by_the_palette(recording):
         ("camera.txt", "0 23 14 9 28 18\n", ("focal_x 0", "above 0")),
         ("camera.txt", "19 23 14 9 1e300 18\n", ("width", "pixels")),
         ("camera.txt", "1e308 23 14 9 28 18\n", ("focal_x 1e+308", "at most")),
-        ("camera.txt", "19 23 14 9 28 " + "9" * 5000, ("line 1 has '9999", "...")),
+        ("camera.txt", "19 23 14 9 28 " + "9" * 5000, ("line 1 inf", "give a number")),
         ("camera.txt", b"\xff\xfe", ("byte 0xff at offset 0", "UTF-8")),
     ],
 )

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import jax
 
 from dc2g_jax._src.cli.common import digests
-from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, OptionalInt, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.figures.training_figures import plot_sweep
@@ -49,6 +49,7 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     seeds: tuple[int, ...] = (0, 1, 2)
     steps: int = SWEEP.steps
     batch_size: int = SWEEP.batch_size
+    validate_every: OptionalInt = None
     split: Literal["train", "val", "test"] | None = "val"
     runs_at_once: int = 64
 

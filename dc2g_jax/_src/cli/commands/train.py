@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax._src.cli.common import NetworkOption, digests
-from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, OptionalInt, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.estimation.checkpoints import newest_step
 from dc2g_jax._src.estimation.compact_unet import Architecture
@@ -67,6 +67,7 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     quantiles: tuple[float, ...] = Architecture.quantiles
     steps: int = TrainingConfig.steps
     batch_size: int = TrainingConfig.batch_size
+    validate_every: OptionalInt = None
     learning_rate: float = TrainingConfig.learning_rate
     seed: int = 0
     split: Literal["train", "val", "test"] | None = "val"
