@@ -23,9 +23,17 @@ from tqdm import tqdm
 
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
-from dc2g_jax._src.runtime.devices import fetch, first_copy, in_any_process, mesh_for_batch, replicate, settle
+from dc2g_jax._src.runtime.devices import fetch, first_copy, in_any_process, mesh_for_batch, platform, replicate, settle
 from dc2g_jax._src.runtime.errors import InputError, check_number
-from dc2g_jax._src.training.step import Supervised, TrainingState, first_state, placed, stacked, supervised_step
+from dc2g_jax._src.training.step import (
+    Supervised,
+    TrainingState,
+    first_state,
+    placed,
+    stacked,
+    supervised_step,
+    unstacked,
+)
 from dc2g_jax._src.training.tracking import Curve, Image, TrackerName, run_folder
 
 #: Most bytes of a line of the log.
@@ -355,6 +363,20 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
     losses: _Losses | None = None
     saved, last_save = -1, time.monotonic()
 
+    def take_steps(state: Any, count: int) -> tuple[Any, list[Array], bool]:
+        if not (state.step.ndim and platform(mesh) == "cpu"):
+            return _take_steps(state, count, take_step)
+        # A CPU takes the runs one after another, so they are only stacked again at the end.
+        states, own_numbers = zip(*replicate(unstacked((state, numbers)), mesh), strict=True)
+
+        def take_step_of_each(states: Any) -> tuple[Any, Array]:
+            pairs = zip(states, own_numbers, strict=True)
+            after, losses = zip(*(take_step(one, hyperparameters=own) for one, own in pairs), strict=True)
+            return after, stacked(list(losses))
+
+        states, losses, interrupted = _take_steps(states, count, take_step_of_each)
+        return stacked(list(states)), losses, interrupted
+
     def trained() -> list[Any]:
         return _each_run(state, lambda state: state.trained)
 
@@ -422,7 +444,7 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
                     look()
                 while step < task.steps:
                     count = _steps_to_next_stop(task, pauses, step)
-                    state, each, interrupted = _take_steps(state, count, take_step)
+                    state, each, interrupted = take_steps(state, count)
                     if each:
                         losses = np.asarray(np.mean([np.asarray(loss) for loss in each], axis=0))
                         step += len(each)

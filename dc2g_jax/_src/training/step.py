@@ -133,7 +133,8 @@ def learn(
 
 
 @jit
-def _unstacked(runs: Any) -> list[Any]:
+def unstacked(runs: Any) -> list[Any]:
+    """The tree of each of several stacked runs."""
     return [jax.tree.map(operator.itemgetter(run), runs) for run in range(len(jax.tree.leaves(runs)[0]))]
 
 
@@ -170,7 +171,7 @@ def supervised_step(
     if state.step.ndim and platform(mesh) == "cpu":
         # Its cores are busy with one run, and convolutions over a stack of weights are slower.
         step = functools.partial(supervised_step, data=data, training=training, mesh=mesh)
-        runs = replicate(_unstacked((state, hyperparameters)), mesh)
+        runs = replicate(unstacked((state, hyperparameters)), mesh)
         return stacked([step(one, hyperparameters=numbers) for one, numbers in runs])
     batch = draw_batches(state, data, hyperparameters, training=training, mesh=mesh)
     settle(batch)

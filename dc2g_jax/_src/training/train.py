@@ -35,7 +35,7 @@ from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
 #: Steps between episodes in validation houses, and number of validation pairs.
-EPISODES_EVERY, PAIRS = 16_000, 512
+EPISODES_EVERY, PAIRS = 16_000, 256
 
 #: Makes a picture of a network's predictions for a tracker.
 Picture = Callable[[NetworkCostToGo], Image]
