@@ -5,6 +5,7 @@ written, when and where is the command's own doing.
 """
 
 import dataclasses
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from dc2g_jax._src.cli.commands import compare, run_episodes, sweep, train
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, write_network
 from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
+from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import PublishedEpisode, Start
 from dc2g_jax._src.rollouts.evaluation import Runner
@@ -249,7 +251,8 @@ def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
 
 def sweep_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     def fake_evaluate(planners, dataset, network, **options):
-        return Results(fake_episodes(None, STARTS, planners))
+        robots = types.SimpleNamespace(rules=lambda start: SETTINGS["paper"].rules())
+        return Results(fake_episodes(robots, STARTS, planners))
 
     _training(patch)
     patch.setattr(sweeps, "error_on", lambda pairs, network: float(np.sum(jax.tree.leaves(network.weights)[0])))

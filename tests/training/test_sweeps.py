@@ -313,7 +313,8 @@ def test_a_sweep_gives_arrays_and_goes_on_where_it_was(tmp_path):
     # A turn that is done is not opened again; a network that is gone comes back.
     *first, _, last = whole.networks
     for run in first[:4]:
-        shutil.rmtree(tmp_path / "in_turn" / "runs" / run / "states")
+        shutil.rmtree(tmp_path / "in_turn" / "runs" / run / "states" / "3")
+        (tmp_path / "in_turn" / "runs" / run / "states" / "3").mkdir()
     shutil.rmtree(tmp_path / "in_turn" / "runs" / last / "network")
     again = sweep_houses(tmp_path / "in_turn", runs_at_once=4)
     jax.tree.map(np.testing.assert_array_equal, again.networks, in_turn.networks)

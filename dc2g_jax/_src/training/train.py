@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from dc2g_jax._src.estimation.checkpoints import CARD, keep_config, network_in_folder, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, keep_config, network_in_folder, newest_step, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import local_folder
@@ -203,7 +203,7 @@ def finished_network(out: Path, plan: Plan, run: str) -> NetworkCostToGo | None:
     folder, config = run_folder(out, run), plan.runs[run]
     keep_config(folder, config, plan.facts)
     path = folder / "network"
-    if not (path / CARD).exists() or read_object(path / CARD, "delete it to save it anew").get("steps") != config.steps:
+    if newest_step(folder) < config.steps or not (path / CARD).exists():  # the last state is saved after all else
         return None
     network = network_in_folder(path)
     return network if isinstance(network, NetworkCostToGo) else None
