@@ -416,7 +416,10 @@ def test_what_is_left_of_a_state_on_a_map_that_has_changed():
 
 
 def test_a_planner_that_knows_no_changes_says_so():
-    refusal(lambda: Planner().revised((), jnp.zeros(1)), "planner Planner", "no method revised")
+    class Fixed(Planner):
+        pass
+
+    refusal(lambda: Fixed().revised((), jnp.zeros((1, 1), jnp.uint32)), "planner Fixed", "no method revised")
 
 
 def test_a_planner_is_shown_by_the_method_that_it_overrides(street):

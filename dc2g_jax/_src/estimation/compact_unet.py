@@ -227,7 +227,9 @@ def check_network(architecture: Architecture) -> None:
     maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
     try:
         weights = shapes_of_weights(make_network, architecture)
-        answer = jax.eval_shape(functools.partial(apply, architecture), weights, maps)
+        answer = jax.eval_shape(
+            lambda weights, maps: with_weights(make_network, architecture, weights)(maps), weights, maps
+        )
     except InputError:
         raise
     except Exception as error:  # whatever the user's class raises

@@ -3,12 +3,13 @@
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import jax
 
 from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.runtime.errors import InputError, require_extra, short
 from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
@@ -90,7 +91,7 @@ def load_network(place: str | os.PathLike[str] | None = None) -> Estimator:
     return estimator
 
 
-def push(network: NetworkCostToGo | str | os.PathLike[str], place: str) -> str:
+def push(network: Any, place: str) -> str:
     """Save a network on the Hub, in a new repository or as a new version. First log in with `hf auth login`.
 
     Args:

@@ -17,7 +17,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import shortest_plan
 from dc2g_jax._src.planning.frontiers import frontier_cells
 from dc2g_jax._src.planning.named import planner_with
-from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, distances_and_scores, reachable_cells
+from dc2g_jax._src.planning.planners import EXPLORE, PlannerLike, assess, distances_and_scores, reachable_cells
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.results import EpisodeResult
@@ -79,7 +79,7 @@ class Frames:
         return len(self.mode)
 
 
-def _frame(belief: Belief, state: Any, world: World, planner: Planner, rules: Rules) -> tuple[dict[str, Any], Any]:
+def _frame(belief: Belief, state: Any, world: World, planner: PlannerLike, rules: Rules) -> tuple[dict[str, Any], Any]:
     """One frame, and the planner's new state."""
     width = belief.width
     pose = belief.pose
@@ -116,14 +116,14 @@ def _frame(belief: Belief, state: Any, world: World, planner: Planner, rules: Ru
 
 
 @functools.partial(jit, static_argnames=("rules",))
-def first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> tuple[Belief, Any]:
+def first_carry(world: World, start: Pose, planner: PlannerLike, *, rules: Rules) -> tuple[Belief, Any]:
     """The robot's first belief, and the planner's first state."""
     return gridworld.reset(world, start, rules.sensing), planner.init(world)
 
 
 @functools.partial(jit, static_argnames=("rules",))
 def _replay_chunk(
-    carry: tuple[Belief, Any], actions: Int8[Array, "chunk"], world: World, planner: Planner, *, rules: Rules
+    carry: tuple[Belief, Any], actions: Int8[Array, "chunk"], world: World, planner: PlannerLike, *, rules: Rules
 ) -> tuple[tuple[Belief, Any], dict[str, Any]]:
     """One frame before each action."""
 
@@ -144,7 +144,7 @@ def _path(
 
 
 def replay(
-    world: World, start: Pose, actions: Int8[np.ndarray, "actions"], *, planner: Planner, rules: Rules
+    world: World, start: Pose, actions: Int8[np.ndarray, "actions"], *, planner: PlannerLike, rules: Rules
 ) -> Frames:
     """Take recorded actions once more, and note at every step what the planner saw and wanted.
 

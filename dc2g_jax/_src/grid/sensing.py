@@ -8,7 +8,7 @@ is its parent. Batch axes come last, see `grid.bitboard`.
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,18 @@ def check_sensing_range(name: str, value: Any) -> None:
       InputError: it is not a whole number from 1 to `MAX_SENSING_RANGE`.
     """
     check_number(name, value, whole=True, least=1, most=MAX_SENSING_RANGE, hint="cells")
+
+
+class FieldOfView(Protocol):
+    """What a robot sees: a `Kernel`, or anything with these two methods."""
+
+    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
+        """The cells in view."""
+        ...
+
+    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
+        """The poses with a target in view."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)

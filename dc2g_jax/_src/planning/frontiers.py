@@ -12,7 +12,7 @@ from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, only
-from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.sensing import FieldOfView, Kernel
 
 
 def _beyond(belief: Belief, known: Board) -> Board:
@@ -36,7 +36,7 @@ def frontier_cells(belief: Belief, reachable: Board) -> Board:
     return reachable & bitboard.neighbors(unseen(belief))
 
 
-def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
+def complete(belief: Belief, reachable: Board, sensing: FieldOfView) -> PoseSet:
     """Reachable poses, not the current one, that see an unobserved 4-neighbor of a frontier cell.
 
     Every such pose reveals something when it is reached, so exploration ends. If the set is empty, the goal is

@@ -27,7 +27,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax._src.planning.inputs import map_of, numbers_of
 from dc2g_jax._src.planning.named import make_planner
-from dc2g_jax._src.planning.planners import Assessment, Planner, assess, distances_and_scores, memoryless
+from dc2g_jax._src.planning.planners import Assessment, Planner, PlannerLike, assess, distances_and_scores, memoryless
 from dc2g_jax._src.planning.rules import Rules, complete_rules
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
@@ -55,10 +55,10 @@ def view_of(belief: Belief, assessment: Assessment) -> View:
 
 
 @functools.partial(jit, static_argnames=("rules",), compiler_options=ONE_OPERATION_OPTIONS)
-def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
+def _look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
     """The inputs of a decision, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
 
-    def look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> View:
+    def look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> View:
         observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
         belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
         assessment, _ = assess(planner, belief, planner.init(World.from_terrain(observed)), rules)

@@ -150,17 +150,21 @@ class Planner:
         return self
 
 
-def _inherits(planner: Planner, *methods: str) -> bool:
+#: A planner: any object with `init` and `plan`, whether it derives from `Planner` or not.
+PlannerLike = Any
+
+
+def _inherits(planner: PlannerLike, *methods: str) -> bool:
     """Whether these methods of a planner are those of `Planner`."""
     return all(getattr(type(planner), method, None) is getattr(Planner, method) for method in methods)
 
 
-def asks(planner: Planner) -> bool:
+def asks(planner: PlannerLike) -> bool:
     """Whether a planner decides by `look`, `ask` and `conclude`."""
     return _inherits(planner, "plan", "assess")
 
 
-def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
+def assess(planner: PlannerLike, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
     """A planner's decision and its inputs.
 
     For a planner that defines `plan`, the candidates are those of the rules on reachable ground, and the nearest wins.
@@ -172,12 +176,12 @@ def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[
     return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
 
 
-def memoryless(planner: Planner) -> Planner:
+def memoryless(planner: PlannerLike) -> PlannerLike:
     """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
     return planner.memoryless() if isinstance(planner, Planner) else planner
 
 
-def sensing_of(planner: Planner, given: Kernel | None = None, name: str | None = None) -> Kernel:
+def sensing_of(planner: PlannerLike, given: Kernel | None = None, name: str | None = None) -> Kernel:
     """The field of view of a planner's robots: that of its rules.
 
     Args:

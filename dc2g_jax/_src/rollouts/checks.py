@@ -17,7 +17,7 @@ from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, every_headi
 from dc2g_jax._src.grid.sensing import Kernel, field_of_view
 from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, sensing_of
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, PlannerLike, sensing_of
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
 from dc2g_jax._src.runtime.errors import InputError, short
@@ -138,7 +138,7 @@ def _check_states(who: str, tested: Any, world: World, worlds: World) -> tuple[A
     return one, many
 
 
-def _check_plan(who: str, of: str, planner: Planner, belief: Belief, state: Any) -> None:
+def _check_plan(who: str, of: str, planner: PlannerLike, belief: Belief, state: Any) -> None:
     """Check types of the plan and of the state after it, for one robot or a batch."""
     answer = _traced(who, "plan", of, planner, belief, state)
     if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], Plan)):
@@ -169,7 +169,7 @@ def _differing(one: Any, other: Any) -> str | None:
 class _Alone:
     """Runs episodes of one robot without a batch, and checks every decision."""
 
-    def __init__(self, who: str, planner: Planner, sensing: Kernel):
+    def __init__(self, who: str, planner: PlannerLike, sensing: Kernel):
         self._who, self._planner = who, planner
 
         def stepped(world: World, belief: Belief, action: Array) -> tuple[Belief, Array, Array]:
@@ -223,7 +223,7 @@ class _Alone:
         )
 
 
-def check_planner(planner: Planner) -> None:
+def check_planner(planner: PlannerLike) -> None:
     """Check that a planner keeps to the protocol `Planner`, on a few small built-in worlds.
 
     ```

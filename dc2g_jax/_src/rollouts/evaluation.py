@@ -22,7 +22,7 @@ from dc2g_jax._src.grid.poses import Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
-from dc2g_jax._src.planning.planners import GAVE_UP, Oracle, Planner, sensing_of
+from dc2g_jax._src.planning.planners import GAVE_UP, Oracle, PlannerLike, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
@@ -41,7 +41,7 @@ _STEPS_A_CELL_OF_WAY = 4
 Network = Estimator | str | os.PathLike[str] | None
 
 #: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
-PlannerSource = str | Planner | Callable[[Rules], Planner]
+PlannerSource = str | PlannerLike | Callable[[Rules], PlannerLike]
 
 #: Names for `planner_with`; or a mapping from a name of your choice to one of these, or to another source.
 Planners = Iterable[str] | Mapping[str, PlannerSource]
@@ -129,7 +129,7 @@ class Runner:
         """
         return self._settings.rules(start.sensing_range, start.expanding_range)
 
-    def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
+    def trajectories(self, planner: PlannerLike, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
         """Run one planner from every start, ignoring the ranges of the starts.
 
         Args:
@@ -343,7 +343,7 @@ def evaluate(
     return Results(runner.run(starts, planners, estimator))
 
 
-def _made(name: str, source: PlannerSource, rules: Rules) -> Planner:
+def _made(name: str, source: PlannerSource, rules: Rules) -> PlannerLike:
     """Make a planner and check that it uses the episodes' field of view."""
     if isinstance(source, str):
         return planner_with(source, rules)

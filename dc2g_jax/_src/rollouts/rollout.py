@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Plan, Planner, asks, sensing_of
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, Plan, Planner, PlannerLike, asks, sensing_of
 from dc2g_jax._src.runtime.devices import deal, dealt_counts, gather, mesh_of, on_each, platform, replicate, serve_paced
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
@@ -220,13 +220,13 @@ def _record(state: _State) -> _State:
     )
 
 
-def _until_each_asks(planner: Planner, mesh: Mesh) -> bool:
+def _until_each_asks(planner: PlannerLike, mesh: Mesh) -> bool:
     """Whether robots run one after another, with robots on the first axis of the slots: see `_alone`."""
     return platform(mesh) == "cpu" and asks(planner)
 
 
 def _alone(
-    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: Planner, sensing: Kernel, step_limit: int
+    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: PlannerLike, sensing: Kernel, step_limit: int
 ) -> _State:
     """Run robots one after another, each until it asks the estimator, then ask for all of them.
 
@@ -295,7 +295,7 @@ def _alone(
     compiler_options=ONE_OPERATION_OPTIONS,
 )
 def _run(
-    states: _State, n_steps: Int[Array, ""], queues: _Queue, planner: Planner,
+    states: _State, n_steps: Int[Array, ""], queues: _Queue, planner: PlannerLike,
     *, mesh: Mesh, sensing: Kernel, step_limit: int,
 ) -> tuple[_State, Int[Array, "devices"]]:  # fmt: skip
     """Take at most `n_steps` planner steps in every slot of every device, and refill slots as robots finish.
@@ -304,7 +304,7 @@ def _run(
       The state, and the number of finished episodes on each device.
     """
 
-    def run(state: _State, queue: _Queue, n_steps: Int[Array, ""], planner: Planner) -> _State:
+    def run(state: _State, queue: _Queue, n_steps: Int[Array, ""], planner: PlannerLike) -> _State:
         def few_finished(slots: _Slots) -> Bool[Array, ""]:
             if platform(mesh) == "cpu":
                 return ~jnp.any(slots.finished)
@@ -326,7 +326,7 @@ def _run(
 
         return jax.lax.while_loop(go_on, until_some_finish, (state, jnp.int32(0)))[0]
 
-    def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
+    def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: PlannerLike) -> _State:
         if _until_each_asks(planner, mesh):
             return _alone(dealt[0], n_steps, dealt[1], planner, sensing, step_limit)
         return one_operation(run, *dealt, n_steps, planner)
@@ -337,12 +337,12 @@ def _run(
 
 @functools.partial(jit, static_argnames=("mesh", "sensing", "n_slots", "kept_steps"))
 def _first_states(
-    planner: Planner, worlds: World, episodes: Episodes, lengths: Int[Array, "devices"],
+    planner: PlannerLike, worlds: World, episodes: Episodes, lengths: Int[Array, "devices"],
     *, mesh: Mesh, sensing: Kernel, n_slots: int, kept_steps: int | None,
 ) -> tuple[_Queue, _State]:  # fmt: skip
     """The queue of each device, and its slots with the first episodes."""
 
-    def first(own: tuple[Episodes, Int[Array, ""]], planner: Planner, worlds: World) -> tuple[_Queue, _State]:
+    def first(own: tuple[Episodes, Int[Array, ""]], planner: PlannerLike, worlds: World) -> tuple[_Queue, _State]:
         episodes, length = own
         queue = _Queue(worlds=worlds, planner_states=planner.init(worlds), episodes=episodes, length=length)
         rows = len(episodes)
@@ -362,7 +362,7 @@ def _first_states(
     return on_each(first, mesh, (episodes, lengths), planner, worlds)
 
 
-def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
+def _default_slots(planner: PlannerLike, worlds: World, platform: str) -> int:
     """The default number of slots of a device."""
     if platform != "cpu":
         n_words, height = worlds.goals.shape[:2]
@@ -371,7 +371,7 @@ def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
 
 
 def rollout(
-    planner: Planner,
+    planner: PlannerLike,
     worlds: World,
     episodes: Episodes,
     *,

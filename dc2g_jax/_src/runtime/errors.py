@@ -102,7 +102,7 @@ def check_seed(seed: Any, name: str = "seed") -> None:
     check_number(name, seed, whole=True, least=0, most=2**32 - 1)
 
 
-def check_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
+def check_name(kind: str, name: Any, known: Iterable[str], hint: str = "") -> None:
     """Check that a name is a known one.
 
     Args:

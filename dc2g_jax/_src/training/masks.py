@@ -19,7 +19,7 @@ from dc2g_jax._src.grid.gridworld import Belief, belief_of
 from dc2g_jax._src.grid.poses import HEADINGS, Pose, PoseSet, every_heading
 from dc2g_jax._src.grid.sensing import Kernel, covered, field_of_view, kernel_runs
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import DC2G, Ask, Assessment, Planner
+from dc2g_jax._src.planning.planners import DC2G, Ask, Assessment, Planner, PlannerLike
 from dc2g_jax._src.planning.rules import Rules, nearest_goal
 from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from dc2g_jax._src.runtime.devices import deal, gather, mesh_of, on_each, replicate
@@ -247,7 +247,7 @@ def _moments(
 
 
 def collect_masks(
-    planner: Planner,
+    planner: PlannerLike,
     worlds: World,
     episodes: Episodes,
     *,

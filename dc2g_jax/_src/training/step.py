@@ -88,7 +88,7 @@ def first_state(hyperparameters: Any, *, training: Supervised) -> TrainingState:
     return training.first_state(hyperparameters)
 
 
-def placed(state: TrainingState, mesh: Mesh) -> TrainingState:
+def placed(state: Any, mesh: Mesh) -> Any:
     """The state on the devices of a mesh: whole on each, or the stacked runs divided among them."""
     return jax.device_put(state, NamedSharding(mesh, PartitionSpec(RUNS) if state.step.ndim else PartitionSpec()))
 

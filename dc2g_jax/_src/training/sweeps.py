@@ -113,7 +113,7 @@ def _quality(row: Mapping[str, Any]) -> float:
     return row.get("mean_extra", row["error"])
 
 
-def named_losses(losses: LossSources) -> tuple[dict[str, tuple[tuple[str, float], ...]], dict[str, Loss]]:
+def named_losses(losses: Any) -> tuple[dict[str, tuple[tuple[str, float], ...]], dict[str, Loss]]:
     """Losses with weights by what they are called; and the functions of the user's own by name.
 
     Raises:

@@ -95,7 +95,11 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
 
 
 def reset(
-    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], site: IndoorSite, agent: Agent, limit: int
+    key: Key[Array, ""],
+    search: tuple[Float[Array, "3"], Int[Array, ""]],
+    site: IndoorSite | None,
+    agent: Agent,
+    limit: int,
 ) -> IndoorRobot:
     """The robot at its start (x and y, meters, and yaw, radians), with an empty map, for `limit` control periods."""
     del site
