@@ -31,6 +31,7 @@ from dc2g_jax._src.planning.planners import (
     Frontier,
     Plan,
     Planner,
+    PlannerLike,
     asks,
     assess,
     memoryless,
@@ -139,7 +140,7 @@ class Bounded(Planner):
         """The estimator of the wrapped planner, if it has one."""
         return self.planner.estimator  # type: ignore[attr-defined]
 
-    def memoryless(self) -> Planner:
+    def memoryless(self) -> PlannerLike:
         """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""
         return memoryless(self.planner)
 

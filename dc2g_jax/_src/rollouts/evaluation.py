@@ -269,7 +269,7 @@ def _labels(places: Sequence[str | os.PathLike[str]]) -> dict[str, str | os.Path
 
 
 def evaluate(
-    planners: str | Planners,
+    planners: str | Planners | PlannerLike,
     dataset: HouseDataset | str | os.PathLike[str] | None = None,
     *,
     split: str = "test",

@@ -146,7 +146,7 @@ def fetched_runs(states: Any) -> list[Any]:
     return [jax.tree.map(operator.itemgetter(run), whole) for run in range(len(jax.tree.leaves(whole)[0]))]
 
 
-def steps_left_out(states: TrainingState) -> list[int]:
+def steps_left_out(states: Any) -> list[int]:
     """Number of skipped steps of each run, in which the loss or the weights would not have been finite."""
     counts = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
     return np.atleast_1d(fetch(states.step) - fetch(counts[0][1])).tolist() if counts else []
