@@ -12,7 +12,7 @@ from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, answer
 from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.frontiers import facing_most
-from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner
+from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner, PlannerLike
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
 from dc2g_jax._src.runtime.errors import InputError
@@ -110,7 +110,7 @@ def make_planner(
     network: Estimator | str | os.PathLike[str] | None = None,
     settings: str | Settings = "paper",
     sensing_range: int | None = None,
-) -> Planner:
+) -> PlannerLike:
     """Make a planner by name.
 
     ```
@@ -134,7 +134,7 @@ def make_planner(
 
 def planner_with(
     name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
-) -> Planner:
+) -> PlannerLike:
     """Make a planner by name from rules and an estimator.
 
     Args:
