@@ -28,7 +28,6 @@ from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, open_training_set
 from dc2g_jax._src.training.loop import PAUSES, Log, Pauses
 from dc2g_jax._src.training.losses import LOSSES, Loss, checked_loss, losses_as_text, parse_losses
-from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.tracking import TrackerName
 from dc2g_jax._src.training.train import (
     PAIRS,
@@ -323,7 +322,7 @@ def sweep(
     return result
 
 
-def _error_now(pairs: Pair, network: NetworkCostToGo, step: int) -> dict[str, float]:
+def _error_now(pairs: Any, network: NetworkCostToGo, step: int) -> dict[str, float]:
     return {"error": error_on(pairs, network)}
 
 

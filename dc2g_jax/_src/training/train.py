@@ -31,7 +31,7 @@ from dc2g_jax._src.training.cost_to_go_data import (
 )
 from dc2g_jax._src.training.loop import PAUSES, Pauses, Recording, Task, fit
 from dc2g_jax._src.training.losses import Loss, losses_as_text, named_loss
-from dc2g_jax._src.training.pairs import Pair, TrainingSet
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
 #: Steps between episodes in validation houses, and number of validation pairs.
@@ -184,12 +184,12 @@ def train_runs(
     return [network_of(weights) for weights in fit(task, out, pauses, track)]
 
 
-def pairs_to_validate(plan: Plan) -> Pair:
+def pairs_to_validate(plan: Plan) -> Any:
     """The validation pairs of a training."""
     return validation_pairs(plan.dataset, count=PAIRS, edge_weight=plan.data.edge_weight)
 
 
-def error_on(pairs: Pair, network: NetworkCostToGo) -> float:
+def error_on(pairs: Any, network: NetworkCostToGo) -> float:
     """Mean error of a network on validation pairs, in cells."""
     return round(float(validation_error(network.architecture, network.weights, pairs)), 4)
 
