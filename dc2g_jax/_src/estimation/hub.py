@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 
-from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, reason, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.reading import read_object
@@ -19,11 +19,6 @@ _HUB = "hf://"
 
 #: The files of a network, whatever its kind, and of an encoder in its folder.
 _FILES = [f"*{CARD}", f"*{WEIGHTS}"]
-
-
-def _reason(error: Exception) -> str:
-    """The first nonblank line of an error's message."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]
 
 
 def _on_hub(place: str) -> tuple[str, str | None]:
@@ -54,7 +49,7 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
         folder = Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
     except Exception as error:  # from several libraries
         raise InputError(
-            f"{place}: cannot be downloaded ({_reason(error)}); check the name, and the connection to the Hub"
+            f"{place}: cannot be downloaded ({reason(error)}); check the name, and the connection to the Hub"
         ) from None
     card = read_object(folder / CARD, "give another network") if (folder / CARD).is_file() else {}
     if named := code_in_card(card):
@@ -123,5 +118,5 @@ def push(network: Any, place: str) -> str:
             return str(done.commit_url)
         except Exception as error:  # of many libraries
             raise InputError(
-                f"{place}: cannot be saved ({_reason(error)}); log in with `hf auth login`, and check the name"
+                f"{place}: cannot be saved ({reason(error)}); log in with `hf auth login`, and check the name"
             ) from None
