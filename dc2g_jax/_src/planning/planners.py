@@ -178,7 +178,7 @@ def assess(planner: PlannerLike, belief: Belief, state: Any, rules: Rules) -> tu
 
 def memoryless(planner: PlannerLike) -> PlannerLike:
     """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
-    return planner.memoryless() if isinstance(planner, Planner) else planner
+    return planner.memoryless() if hasattr(planner, "memoryless") else planner
 
 
 def sensing_of(planner: PlannerLike, given: Kernel | None = None, name: str | None = None) -> Kernel:
