@@ -30,7 +30,7 @@ def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was
     estimator = load_costs(options.out)
     assert estimator.architecture.widths == (4, 4)
     card = json.loads((options.out / "network.json").read_text())
-    assert card["validation"]["step"] == 2
+    assert card["steps"] == 2
     log = (options.out / "log.jsonl").read_text()
     main(dataclasses.replace(options, resume=True))
     assert (options.out / "log.jsonl").read_text() == log
