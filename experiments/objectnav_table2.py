@@ -14,11 +14,11 @@ import tyro
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.runtime.errors import InputError, check_name
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
-from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect
-from dc2g_jax.indoor.learning.losses import OF_CLASSES
 from dc2g_jax.indoor.learning.networks import CostMapEstimator, load_costs
-from dc2g_jax.indoor.learning.training import CostMapConfig, figures, validation_samples
 from dc2g_jax.indoor.search.guides import ON_NETWORK, agent_with
+from experiments.objectnav.collecting import CollectionConfig, collect
+from experiments.objectnav.losses import OF_CLASSES
+from experiments.objectnav.training import CostMapConfig, figures, validation_samples
 from experiments.support.searches import ComparisonOptions, SearchSummary, compare, table
 
 #: Titles of the inputs of a network, see `indoor.learning.networks.Inputs`.
@@ -49,7 +49,7 @@ class Options(ComparisonOptions):
     """Compare networks with semantic maps, mid-level features or both as inputs, in unseen houses.
 
     Attributes:
-      networks: folders of networks, from `dc2g train-indoor` with `--inputs semantic` and so on; the last one
+      networks: folders of networks, from `objectnav_train` with `--inputs semantic` and so on; the last one
         is compared with the others. The shipped network by default.
       agent: how costs guide the robot: promising or predicted; see python -m experiments.objectnav_table1.
       maps: number of partial maps to predict costs for.

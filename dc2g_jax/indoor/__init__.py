@@ -3,6 +3,3 @@
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-#: Its commands, see `dc2g_jax._src.runtime.plugins`.
-COMMANDS = {"train-indoor": ("dc2g_jax.indoor.train_command", "train the network that predicts cost maps indoors")}

@@ -11,5 +11,3 @@ from .search.evaluation import results_of as results_of
 from .search.guides import agent_with as agent_with
 from .search.online import OnlineSearcher as OnlineSearcher
 from .search.searches import sample_episodes as sample_episodes, search_all as search_all
-
-COMMANDS: dict[str, tuple[str, str]]

@@ -1,8 +1,8 @@
 """Losses of the indoor network to compare with the paper's, and the comparison, `python -m
 experiments.studies.indoor_losses`.
 
-Networks come from `dc2g train-indoor --loss experiments.studies.indoor_losses:NAME`, all with the same samples in
-`validation.safetensors`.
+Networks come from `python -m experiments.objectnav_train --loss experiments.studies.indoor_losses:NAME`, all with the
+same samples in `validation.safetensors`.
 """
 
 import dataclasses
@@ -28,8 +28,10 @@ from dc2g_jax._src.rollouts.statistics import house_bootstrap
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax.indoor.learning import networks
-from dc2g_jax.indoor.learning.data import LOCAL, NORMALIZATIONS, UPRIGHT, JourneySet, Samples, draw_samples
-from dc2g_jax.indoor.learning.losses import (
+from dc2g_jax.indoor.learning.networks import COST_UNIT, Prediction, load_costs
+from dc2g_jax.indoor.maps.mapping import network_maps
+from experiments.objectnav.data import LOCAL, NORMALIZATIONS, UPRIGHT, JourneySet, Samples, draw_samples
+from experiments.objectnav.losses import (
     FIVE_ACTIONS,
     LOSS_WEIGHTS,
     NINE_ACTIONS,
@@ -41,8 +43,6 @@ from dc2g_jax.indoor.learning.losses import (
     occupancy_scores,
     total_loss,
 )
-from dc2g_jax.indoor.learning.networks import COST_UNIT, Prediction, load_costs
-from dc2g_jax.indoor.maps.mapping import network_maps
 
 #: Label of a cell that is not free floor where one map tells both, and the cost above which a cell counts as such: 30
 #: and 20 m beyond the map's best cell.
@@ -159,7 +159,7 @@ class Options(OutOptions):
     """Compare networks that were trained with several losses, on the same partial maps of validation houses.
 
     Attributes:
-      networks: folders of `dc2g train-indoor`. Those with the same loss count as seeds of one training; the
+      networks: output folders of `objectnav_train`. Those with the same loss count as seeds of one training; the
         differences are from those with the paper's loss.
       maps: partial maps of each house.
     """

@@ -46,7 +46,7 @@ class CostMapOptions(CommandOptions):
     """The network of the agents that use one.
 
     Attributes:
-      network: folder that dc2g train-indoor wrote, or hf://owner/name; the shipped network by default.
+      network: folder that objectnav_train wrote, or hf://owner/name; the shipped network by default.
     """
 
     network: NetworkOption = None

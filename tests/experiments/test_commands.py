@@ -27,11 +27,11 @@ from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from dc2g_jax._src.readers.houses import load_dataset
 from dc2g_jax._src.readers.starts import sample_starts
 from dc2g_jax.families.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
-from dc2g_jax.indoor import train_command as objectnav_train
 from experiments import (
     head_to_head,
     latency,
     noisy_mapping,
+    objectnav_train,
     reproduce_fig5,
     reproduce_fig7,
     reproduce_fig8,

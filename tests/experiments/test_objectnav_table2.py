@@ -8,10 +8,10 @@ import pytest
 
 from dc2g_jax._src.estimation.checkpoints import write_network
 from dc2g_jax._src.estimation.weights import fresh_weights
-from dc2g_jax.indoor.learning.losses import OF_CLASSES
 from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax.indoor.learning.networks import COST_MAPS, ENCODER_FOLDER, CostMapArchitecture, CostMapNetwork
 from experiments import objectnav_table2
+from experiments.objectnav.losses import OF_CLASSES
 from experiments.objectnav_table2 import METRICS, Options, main
 from experiments.support import searches
 from tests.support.refusals import refusal

@@ -185,4 +185,4 @@ def test_folders_without_a_network_of_this_kind_are_refused(weights, folder):
     write_network(folder, fresh_weights(CostMapNetwork, other, jax.random.key(0)), other, COST_MAPS)
     refusal(lambda: load_costs(folder), folder, "5 features", "takes 4", "one folder")
     (folder / ENCODER_FOLDER / CARD).unlink()
-    refusal(lambda: load_costs(folder), folder / ENCODER_FOLDER, "dc2g train-indoor")
+    refusal(lambda: load_costs(folder), folder / ENCODER_FOLDER, "python -m experiments.objectnav_train")

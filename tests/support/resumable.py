@@ -30,12 +30,19 @@ from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.masks import Masks
 from dc2g_jax._src.training.pairs import TrainingSet
-from dc2g_jax.indoor import train_command
-from dc2g_jax.indoor.learning.collecting import CollectionConfig
-from dc2g_jax.indoor.learning.losses import OF_CLASSES
 from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, SmallEncoder
 from dc2g_jax.indoor.search.evaluation import SearchResult
-from experiments import head_to_head, noisy_mapping, objectnav_table1, objectnav_table2, reproduce_fig5, reproduce_fig7
+from experiments import (
+    head_to_head,
+    noisy_mapping,
+    objectnav_table1,
+    objectnav_table2,
+    objectnav_train,
+    reproduce_fig5,
+    reproduce_fig7,
+)
+from experiments.objectnav.collecting import CollectionConfig
+from experiments.objectnav.losses import OF_CLASSES
 from experiments.objectnav_table2 import METRICS
 from experiments.studies import unknown_dimensions
 from experiments.support import published, searches
@@ -278,29 +285,29 @@ def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Co
     return _command(reproduce_fig5, options)
 
 
-def train_command_(
+def objectnav_train_(
     dataset: str, folder: Path, patch: pytest.MonkeyPatch, encoder: Path | None = None
 ) -> Command:  # fmt: skip
-    patch.setattr(train_command, "indoor_houses", lambda *args, **options: [two_rooms()])
-    patch.setattr(train_command, "random_views", lambda *args: None)
-    patch.setattr(train_command, "EncoderArchitecture", lambda: SMALL_ENCODER)
-    patch.setattr(train_command, "encoder_task", fake_encoder_task)
-    patch.setattr(train_command, "collect", lambda *args: trainings.journeys())
+    patch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
+    patch.setattr(objectnav_train, "random_views", lambda *args: None)
+    patch.setattr(objectnav_train, "EncoderArchitecture", lambda: SMALL_ENCODER)
+    patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
+    patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
     _steps(patch)
-    patch.setattr(train_command, "validation_samples", lambda *args: None)
-    patch.setattr(train_command, "figures", lambda *args: {"error": 0.5})
-    options = train_command.Options(
+    patch.setattr(objectnav_train, "validation_samples", lambda *args: None)
+    patch.setattr(objectnav_train, "figures", lambda *args: {"error": 0.5})
+    options = objectnav_train.Options(
         out=folder, count=1, validation_houses=1, encoder=encoder, encoder_steps=2, widths=(2, 2), steps=1,
         batch_size=1, collection=CollectionConfig(journeys=1, views=4, places=1), validate_every=1,
         minutes_per_checkpoint=0.0,
     )  # fmt: skip
-    return _command(train_command, options)
+    return _command(objectnav_train, options)
 
 
-def train_command_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(0))
     write_network(folder / "given", weights, SMALL_ENCODER, ENCODER)
-    return train_command_(dataset, folder, patch, folder / "given")
+    return objectnav_train_(dataset, folder, patch, folder / "given")
 
 
 #: `(houses, folder for inputs, patch) -> command`, by the name of its module.
@@ -308,7 +315,7 @@ COMMANDS: dict[str, Callable[[str, Path, pytest.MonkeyPatch], Command]] = {
     each.__name__.rstrip("_"): each
     for each in (
         run_episodes_, reproduce_fig7_, compare_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
-        objectnav_table2_, train_, sweep_, reproduce_fig5_, train_command_,
-        train_command_with_encoder_,
+        objectnav_table2_, train_, sweep_, reproduce_fig5_, objectnav_train_,
+        objectnav_train_with_encoder_,
     )
 }  # fmt: skip

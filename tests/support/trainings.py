@@ -20,9 +20,9 @@ from dc2g_jax._src.runtime.devices import mesh_of, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import Supervised, TrainingState, supervised_step
-from dc2g_jax.indoor.learning.data import JourneySet
 from dc2g_jax.indoor.learning.networks import CostMapArchitecture
-from dc2g_jax.indoor.learning.training import BETTER_RECIPE, CostMapConfig
+from experiments.objectnav.data import JourneySet
+from experiments.objectnav.training import BETTER_RECIPE, CostMapConfig
 from experiments.translator.drawn_masks import drawn_masks
 from experiments.translator.network import TranslatorArchitecture
 from experiments.translator.pairs import ImageSet, all_pairs, draw_image_pairs

@@ -1,16 +1,19 @@
 """Houses of two rooms, 3 m deep, side by side: plans, furniture for them, one as cells of 10 cm, and an agent."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
-from dc2g_jax.indoor.houses.worlds import IndoorWorld, largest_region
+from dc2g_jax.indoor.houses.worlds import IndoorWorld, largest_region, painted, scene
+from dc2g_jax.indoor.maps.camera import CameraView, view
 from dc2g_jax.indoor.maps.classes import BED, PLANT
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
 from dc2g_jax.indoor.search.agent import LIMITS, Agent, with_mpc
 from dc2g_jax.indoor.search.guides import nearest_frontier, until_seen
 from dc2g_jax.robot.driving.mppi import MPPISettings
-from dc2g_jax.robot.mapping.camera import intrinsics
+from dc2g_jax.robot.mapping.camera import intrinsics, level_camera
 
 #: An agent with a small camera that samples few controls.
 AGENT = Agent(
@@ -55,3 +58,14 @@ def rooms_cut_off(world: IndoorWorld) -> list[int]:
     """Rooms outside the largest region in which a robot can drive, by their number in `world.rooms`."""
     reached = np.unique(np.asarray(world.rooms)[largest_region(world)])
     return [room for room in range(1, len(world.room_kinds)) if room not in reached]
+
+
+def views_of_a_bed() -> CameraView:
+    """From the middle of a room: toward the bed, and away from it. Pictures of one house."""
+    world = world_from_plan(plan(BED_BOX), 0.1)
+    house, paint = scene(world), jnp.asarray(painted(world, np.random.default_rng(0)))
+    headings = jnp.asarray([np.pi / 2, -np.pi / 2], jnp.float32)
+    # The plan's corner is the margin of a quarter of a meter away from the world's.
+    return jax.jit(
+        lambda headings: jax.lax.map(lambda yaw: view(house, paint, level_camera(1.25, -2.75, 0.9, yaw, 0.3)), headings)
+    )(headings)

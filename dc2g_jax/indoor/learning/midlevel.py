@@ -1,7 +1,8 @@
 """Mid-level features of camera images (section II-B), and the encoder that computes them.
 
 The paper uses pretrained encoders for semantic segmentation, object classification and depth. Here, one small network
-is trained for these three tasks on images of the simulator. Its answers to all tasks depend on one feature vector.
+is trained for these three tasks on images of the simulator (`experiments.objectnav.encoder`). Its answers to all tasks
+depend on one feature vector, which is all that the network for cost maps gets.
 """
 
 import dataclasses
@@ -19,7 +20,7 @@ from dc2g_jax.indoor.maps.classes import OBJECT_CLASSES
 
 #: Side of the blocks of pixels for which the encoder is trained to answer, and rows and columns of them.
 BLOCK = 4
-_ASKED = (VIEW_SIZE[0] // BLOCK, VIEW_SIZE[1] // BLOCK)
+BLOCKS = (VIEW_SIZE[0] // BLOCK, VIEW_SIZE[1] // BLOCK)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,31 +36,17 @@ class EncoderArchitecture:
     features: int = 64
 
 
-class Answers(struct.PyTreeNode):
-    """Answers of the encoder to the three tasks, for blocks of 4 x 4 pixels.
-
-    Attributes:
-      classes: log-odds of the class of each block.
-      presence: log-odds that the image shows an object of each class.
-      depth: depth of each block, tens of meters.
-    """
-
-    classes: Float[Array, "b 12 16 17"]
-    presence: Float[Array, "b 17"]
-    depth: Float[Array, "b 12 16"]
-
-
 class SmallEncoder(nnx.Module):
     """Three layers of decreasing resolution to one vector, and decoders from this vector for the three tasks."""
 
     def __init__(self, architecture: EncoderArchitecture, *, rngs: nnx.Rngs):
         first, second, third = architecture.widths
-        rows, columns = _ASKED[0] // 4, _ASKED[1] // 4
+        rows, columns = BLOCKS[0] // 4, BLOCKS[1] // 4
         self.take = nnx.Linear(3 * BLOCK**2, first, rngs=rngs)
         self.halve = nnx.Conv(first, second, (3, 3), strides=(2, 2), rngs=rngs)
         self.halve_again = nnx.Conv(second, third, (3, 3), strides=(2, 2), rngs=rngs)
         self.vector = nnx.Linear(rows * columns * third, architecture.features, rngs=rngs)
-        self.widen = nnx.Linear(architecture.features, _ASKED[0] * _ASKED[1] * 8, rngs=rngs)
+        self.widen = nnx.Linear(architecture.features, BLOCKS[0] * BLOCKS[1] * 8, rngs=rngs)
         self.smooth = nnx.Conv(8, 32, (3, 3), rngs=rngs)
         self.blocks = nnx.Linear(32, len(OBJECT_CLASSES) + 1, rngs=rngs)
         self.presence = nnx.Linear(architecture.features, len(OBJECT_CLASSES), rngs=rngs)
@@ -70,12 +57,6 @@ class SmallEncoder(nnx.Module):
         for layer in (self.take, self.halve, self.halve_again):
             at = nnx.relu(layer(at))
         return jnp.tanh(self.vector(at.reshape(len(at), -1)))
-
-    def answer(self, features: Float[Array, "b f"]) -> Answers:
-        """The answers for images with these features."""
-        blocks = nnx.relu(self.widen(features)).reshape(len(features), *_ASKED, 8)
-        found = self.blocks(nnx.relu(self.smooth(blocks)))
-        return Answers(found[..., 1:], self.presence(features), found[..., 0])
 
 
 @struct.dataclass
@@ -97,7 +78,12 @@ class TrainedEncoder:
 
 #: Encoders as they are saved.
 ENCODER = Kind(
-    "encoder", EncoderArchitecture, SmallEncoder, "dc2g train-indoor", classes=OBJECT_CLASSES, dtype=np.float16
+    "encoder",
+    EncoderArchitecture,
+    SmallEncoder,
+    "python -m experiments.objectnav_train",
+    classes=OBJECT_CLASSES,
+    dtype=np.float16,
 )
 
 

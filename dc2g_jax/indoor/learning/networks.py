@@ -230,7 +230,7 @@ class CostMapEstimator:
         """Cost of each cell of the local map relative to the best cell, meters, with arguments as in `CostMapNetwork`.
 
         Infinite where a cell is predicted to be occupied. A network trained on shares of the longest path
-        (`--recipe paper`) has no scale and is used as if it had that of the others.
+        (the paper's recipe) has no scale and is used as if it had that of the others.
         """
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading))
         prediction = apply(self.architecture, self.weights, *one, self.encoder.encode(image[None]))
@@ -240,7 +240,12 @@ class CostMapEstimator:
 
 #: Networks as they are saved.
 COST_MAPS = Kind(
-    "cost_maps", CostMapArchitecture, CostMapNetwork, "dc2g train-indoor", classes=OBJECT_CLASSES, dtype=np.float16
+    "cost_maps",
+    CostMapArchitecture,
+    CostMapNetwork,
+    "python -m experiments.objectnav_train",
+    classes=OBJECT_CLASSES,
+    dtype=np.float16,
 )
 
 
@@ -248,8 +253,8 @@ def load_costs(place: str | Path | None = None) -> CostMapEstimator:
     """Read a trained network and its encoder.
 
     Args:
-      place: output folder of `dc2g train-indoor`, or a place on the Hub, see `estimation.local_folder`; `None`
-        for the shipped network.
+      place: output folder of `python -m experiments.objectnav_train`, or a place on the Hub, see
+        `estimation.local_folder`; `None` for the shipped network.
 
     Raises:
       InputError: a file is missing or invalid, or the two do not match.

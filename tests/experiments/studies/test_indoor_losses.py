@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.indoor.learning.losses import named_loss
 from dc2g_jax.indoor.learning.networks import Prediction
+from experiments.objectnav.losses import named_loss
 from experiments.studies.indoor_losses import BLOCKED, Options, bends, hollows, main
 from tests.support.refusals import refusal
 

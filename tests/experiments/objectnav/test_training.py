@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.runtime.devices import first_copy
-from dc2g_jax.indoor.learning.training import BETTER_RECIPE, PAPER_RECIPE, figures, validation_samples
+from experiments.objectnav.training import BETTER_RECIPE, PAPER_RECIPE, figures, validation_samples
 from tests.support.trainings import CASES, COST_MAPS as CONFIG, journeys, train
 
 

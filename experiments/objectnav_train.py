@@ -1,4 +1,4 @@
-"""Train the network that predicts cost maps indoors: `dc2g train-indoor --out checkpoints/indoors`.
+"""Train the network that predicts cost maps indoors, `python -m experiments.objectnav_train`.
 
 After an interruption, --resume continues where it stopped.
 """
@@ -17,6 +17,7 @@ from dc2g_jax.commands import (
     OptionalInt,
     TrainingOptions,
     check_seed,
+    command_line,
     command_written,
     commit,
     output_folder,
@@ -26,22 +27,15 @@ from dc2g_jax.datasets import PROCEDURAL
 from dc2g_jax.estimation import CARD, read_network, write_network
 from dc2g_jax.files import tree_sha256
 from dc2g_jax.indoor.houses.dataset import IndoorHouse, indoor_houses
-from dc2g_jax.indoor.learning.collecting import CollectionConfig, collect, random_views
-from dc2g_jax.indoor.learning.data import JourneySet
 from dc2g_jax.indoor.learning.midlevel import ENCODER, EncoderArchitecture, TrainedEncoder, load_encoder
 from dc2g_jax.indoor.learning.networks import COST_MAPS, ENCODER_FOLDER, INPUT_CHANNELS, CostMapArchitecture, Inputs
-from dc2g_jax.indoor.learning.training import (
-    RECIPES,
-    CostMapConfig,
-    EncoderTraining,
-    Recipe,
-    encoder_task,
-    figures,
-    validation_samples,
-)
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
 from dc2g_jax.runtime import InputError, require_memory
 from dc2g_jax.training import Log, Pauses, Task, fit, kept_arrays
+from experiments.objectnav.collecting import CollectionConfig, collect, random_views
+from experiments.objectnav.data import JourneySet
+from experiments.objectnav.encoder import EncoderTraining, encoder_task
+from experiments.objectnav.training import RECIPES, CostMapConfig, Recipe, figures, validation_samples
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -213,3 +207,7 @@ def main(options: Options) -> None:
     config = options.training(encoder.architecture.features)
     fit(training_task(options, config, data, validation), options.out, options, options.track)
     print(f"Trained: {options.out}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.indoor.learning.losses import (
+from dc2g_jax.indoor.learning.networks import Prediction
+from experiments.objectnav.losses import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
     OF_CLASSES,
@@ -19,7 +20,6 @@ from dc2g_jax.indoor.learning.losses import (
     occupancy_scores,
     total_loss,
 )
-from dc2g_jax.indoor.learning.networks import Prediction
 
 SHAPE = (7, 9)
 

@@ -6,10 +6,10 @@ import json
 import pytest
 
 from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS
-from dc2g_jax.indoor import train_command as objectnav_train
-from dc2g_jax.indoor.learning.collecting import CollectionConfig
 from dc2g_jax.indoor.learning.networks import ENCODER_FOLDER, load_costs
-from dc2g_jax.indoor.train_command import Options, main
+from experiments import objectnav_train
+from experiments.objectnav.collecting import CollectionConfig
+from experiments.objectnav_train import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

@@ -12,8 +12,13 @@ from dc2g_jax._src.training.pairs import turned
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.houses.plans import Furniture, world_from_plan
 from dc2g_jax.indoor.houses.worlds import scene
-from dc2g_jax.indoor.learning.collecting import NEVER, CollectionConfig, collect
-from dc2g_jax.indoor.learning.data import (
+from dc2g_jax.indoor.learning.midlevel import EncoderArchitecture, TrainedEncoder
+from dc2g_jax.indoor.maps import mapping
+from dc2g_jax.indoor.maps.camera import camera_pose, indoor_camera
+from dc2g_jax.indoor.maps.classes import BED, GOALS, PLANT, TABLE
+from dc2g_jax.robot.mapping.simulator import render
+from experiments.objectnav.collecting import NEVER, CollectionConfig, collect
+from experiments.objectnav.data import (
     ALL_SYMMETRIES,
     GLOBAL,
     LOCAL,
@@ -25,11 +30,6 @@ from dc2g_jax.indoor.learning.data import (
     map_of,
     turned_heading,
 )
-from dc2g_jax.indoor.learning.midlevel import EncoderArchitecture, TrainedEncoder
-from dc2g_jax.indoor.maps import mapping
-from dc2g_jax.indoor.maps.camera import camera_pose, indoor_camera
-from dc2g_jax.indoor.maps.classes import BED, GOALS, PLANT, TABLE
-from dc2g_jax.robot.mapping.simulator import render
 from tests.support.refusals import refusal
 from tests.support.two_rooms import BED_BOX, PLANT_BOX, plan
 

@@ -14,7 +14,6 @@ from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.houses.worlds import IndoorWorld, largest_region, padded_alike, painted, scene
-from dc2g_jax.indoor.learning.data import JourneySet, in_millimeters, map_of
 from dc2g_jax.indoor.learning.midlevel import TrainedEncoder
 from dc2g_jax.indoor.maps.camera import CameraView, camera_over, indoor_camera, view
 from dc2g_jax.indoor.maps.classes import GOALS
@@ -22,6 +21,7 @@ from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, i
 from dc2g_jax.indoor.maps.mapping import EXPLORED_CHANNEL, IndoorMap, IndoorMapSettings, has, with_frame
 from dc2g_jax.robot import Scene, render, wrapped
 from dc2g_jax.runtime import InputError, check_number, deal, gather, jit, mesh_of, on_each, replicate
+from experiments.objectnav.data import JourneySet, in_millimeters, map_of
 
 #: Stands for the first view of a cell that no view shows.
 NEVER = 255

@@ -1,0 +1,1 @@
+"""Training of the indoor network of Goel and others (2022): samples from journeys, losses, recipes."""
