@@ -24,7 +24,7 @@ from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import Results
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
-from dc2g_jax.robot.driving.drive import Equipment
+from experiments.driving.drive import Equipment
 from experiments.support.drive_figures import plot_noise
 from experiments.support.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
 

@@ -25,9 +25,9 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.runtime.errors import check_number
-from dc2g_jax.robot.driving.drive import reset
-from dc2g_jax.robot.driving.fleet import Moment, moments, sites_of
 from dc2g_jax.robot.recording import MappedFrame, record_camera
+from experiments.driving.drive import reset
+from experiments.driving.fleet import Moment, moments, sites_of
 from experiments.support.drive_figures import plot_moments
 from experiments.support.driving import SECONDS_LIMIT, STATUS_NAMES, DrivingOptions, equipment
 

@@ -43,8 +43,8 @@ sys.modules.update(dict.fromkeys({modules}))  # so that their import fails
 
 import numpy as np
 import dc2g_jax as dc2g
-import dc2g_jax.robot.driving.fleet
 from dc2g_jax.indoor import OnlineSearcher
+from dc2g_jax.robot import plan_controls, render
 from dc2g_jax._src.cli import commands
 
 env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")

@@ -1,7 +1,5 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
-from .driving.drive import Equipment as Equipment
-from .driving.fleet import drive_all as drive_all, sites_of as sites_of
 from .driving.footprint import Ground as Ground, cell_at as cell_at
 from .driving.mppi import (
     CostOfPose as CostOfPose,

@@ -27,10 +27,11 @@ from dc2g_jax.indoor.learning.networks import load_costs
 from dc2g_jax.indoor.search import searches
 from dc2g_jax.indoor.search.guides import agent_with
 from dc2g_jax.indoor.search.searches import IndoorSite, leg
-from dc2g_jax.robot.driving import drive, robot
-from dc2g_jax.robot.driving.drive import Site
+from dc2g_jax.robot.driving import robot
 from dc2g_jax.robot.driving.robot import Step
 from dc2g_jax.robot.mapping.scene import TILES, Scene
+from experiments.driving import drive
+from experiments.driving.drive import Site
 from experiments.reproduce_fig5 import TranslationOptions
 from experiments.support.driving import DrivingOptions, equipment
 from experiments.translator import training as translator

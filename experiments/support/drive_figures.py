@@ -24,7 +24,7 @@ from dc2g_jax._src.figures.results_figures import (
     save_figure,
 )
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
-from dc2g_jax.robot.driving.fleet import Moment
+from experiments.driving.fleet import Moment
 
 #: Network -> label, color, line and marker.
 _NETWORKS = {

@@ -20,13 +20,13 @@ from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
 from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax._src.runtime.progress import EpisodeProgress
-from dc2g_jax.robot.driving.drive import ARRIVED, Equipment
-from dc2g_jax.robot.driving.fleet import drive_all, sites_of
 from dc2g_jax.robot.driving.vehicle import VehicleLimits
 from dc2g_jax.robot.mapping.camera import intrinsics
 from dc2g_jax.robot.mapping.noise import PAPER_LIKE
 from dc2g_jax.robot.mapping.scene import CELL_SIZE
 from dc2g_jax.robot.mapping.semantic_map import MapSettings
+from experiments.driving.drive import ARRIVED, Equipment
+from experiments.driving.fleet import drive_all, sites_of
 
 #: Sensing range that the planner assumes, in cells, and field of view of the camera.
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
@@ -91,7 +91,7 @@ class DriveResult(NamedTuple):
       y: first row.
       heading: first heading.
       seconds: duration.
-      status: outcome, see `robot.driving.drive`; `under way` at the time limit.
+      status: outcome, see `experiments.driving.drive`; `under way` at the time limit.
       off_ground: seconds in which the footprint touched forbidden ground.
       touched: seconds in which it touched a pedestrian.
     """

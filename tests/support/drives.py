@@ -7,12 +7,12 @@ from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
-from dc2g_jax.robot.driving import fleet
-from dc2g_jax.robot.driving.drive import Equipment
 from dc2g_jax.robot.driving.vehicle import VehicleLimits
 from dc2g_jax.robot.mapping.camera import intrinsics
 from dc2g_jax.robot.mapping.noise import PAPER_LIKE
 from dc2g_jax.robot.mapping.semantic_map import MapSettings
+from experiments.driving import fleet
+from experiments.driving.drive import Equipment
 from tests.support.streets import STREET, WALLED
 
 RULES = complete_rules(4, line_of_sight)

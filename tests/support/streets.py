@@ -11,11 +11,11 @@ from jaxtyping import Array
 from dc2g_jax._src.grid.poses import FORWARD
 from dc2g_jax._src.grid.search import FOUR_CONNECTED, cost_to_go
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.robot.driving._pedestrians import PERSON_RADIUS, Pedestrians, walk, walkable_cells
-from dc2g_jax.robot.driving.avoidance import People, navigate
-from dc2g_jax.robot.driving.following import Path, path_through
 from dc2g_jax.robot.driving.footprint import Ground, cell_at, cell_centers
 from dc2g_jax.robot.driving.vehicle import VehicleLimits, VehicleState, at_rest, drive
+from experiments.driving.avoidance import People, navigate
+from experiments.driving.following import Path, path_through
+from experiments.driving.pedestrians import PERSON_RADIUS, Pedestrians, walk, walkable_cells
 from tests.support import maps
 
 STREET = maps.drawn("""

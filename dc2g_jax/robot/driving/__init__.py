@@ -1,1 +1,1 @@
-"""Vehicles: how they move, follow paths and avoid people, and the drive from camera to door (section IV-D)."""
+"""Vehicles: how they move, where they fit, sampled controls, and simulated episodes of many robots."""

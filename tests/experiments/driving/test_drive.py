@@ -15,10 +15,10 @@ from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Frontier, Oracle
 from dc2g_jax._src.planning.selection import ENDLESS
-from dc2g_jax.robot.driving import fleet
-from dc2g_jax.robot.driving.drive import ARRIVED, NOTHING_LEFT, reset, step
 from dc2g_jax.robot.driving.robot import DRIVING
 from dc2g_jax.robot.driving.vehicle import VehicleLimits
+from experiments.driving import fleet
+from experiments.driving.drive import ARRIVED, NOTHING_LEFT, reset, step
 from experiments.support import drive_figures as figures
 from tests.support.drives import EAST, MIDDLE, RULES, SHUT_OUT, SITES, WEST, drives, made
 from tests.support.refusals import refusal

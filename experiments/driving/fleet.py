@@ -11,7 +11,6 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.grid import Pose, belief_from_map
 from dc2g_jax.planning import assess, complete_rules
-from dc2g_jax.robot.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
 from dc2g_jax.robot.driving.robot import is_driving, run_all
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
 from dc2g_jax.robot.mapping.camera import Frame
@@ -19,6 +18,7 @@ from dc2g_jax.robot.mapping.scene import scene_from_terrain
 from dc2g_jax.robot.mapping.simulator import picture
 from dc2g_jax.rollouts import Episodes
 from dc2g_jax.runtime import InputError, jit
+from experiments.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
 
 #: Control periods that the first call of the device drives.
 _FIRST_PERIODS = 10
@@ -30,7 +30,7 @@ class Drives:
 
     Attributes:
       seconds: duration of the episode.
-      status: how it ended, see `vehicles.drive`; `DRIVING` where time was up.
+      status: how it ended, see `drive`; `DRIVING` where time was up.
       off_ground: seconds for which the footprint touched ground where it should not be.
       touched: seconds for which it touched a pedestrian.
     """

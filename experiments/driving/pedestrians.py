@@ -19,9 +19,10 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax.grid import CLASS_NAMES, FORWARD, UNKNOWN
-from dc2g_jax.robot.driving.footprint import Ground, cell_centers, contains, distance_to_segment
+from dc2g_jax.robot.driving.footprint import Ground, cell_centers, contains
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
 from dc2g_jax.robot.mapping.camera import Frame, Intrinsics, rays
+from experiments.driving.lines import distance_to_segment
 
 #: Walking speed, meters per second; radius of the circle that a pedestrian occupies, height, and the distance that
 #: pedestrians keep to a vehicle in front of them, meters.

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
-from dc2g_jax.robot.driving.following import aim, path_through, steer
 from dc2g_jax.robot.driving.footprint import Ground
 from dc2g_jax.robot.driving.vehicle import VehicleLimits, at_rest, drive
+from experiments.driving.following import aim, path_through, steer
 from tests.oracles.vehicle_oracle import clearance, driven
 from tests.support.maps import drawn
 

@@ -13,7 +13,7 @@ up.
 The vehicle avoids the people that its camera has shown in the last few seconds. What a frame tells of them is exact;
 afterwards they are supposed to walk on as they did.
 
-All functions take one robot; `driving.fleet` runs many.
+All functions take one robot; `fleet` runs many.
 """
 
 import dataclasses
@@ -27,17 +27,6 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax import grid
 from dc2g_jax.planning import EXPLORE, GAVE_UP, TO_GOAL, Planner
-from dc2g_jax.robot.driving._pedestrians import (
-    NOWHERE,
-    PERSON_RADIUS,
-    Pedestrians,
-    place,
-    walk,
-    walkable_cells,
-    without_people,
-)
-from dc2g_jax.robot.driving.avoidance import People, navigate
-from dc2g_jax.robot.driving.following import ARRIVAL, Path, path_through
 from dc2g_jax.robot.driving.footprint import Ground, blocked_around, cell_at, cell_centers, clearance
 from dc2g_jax.robot.driving.robot import DRIVING, SimulatedRobot
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
@@ -46,6 +35,17 @@ from dc2g_jax.robot.mapping.noise import PoseDrift, drift_on, drifted, noisy_fra
 from dc2g_jax.robot.mapping.scene import Scene
 from dc2g_jax.robot.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
 from dc2g_jax.robot.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
+from experiments.driving.avoidance import People, navigate
+from experiments.driving.following import ARRIVAL, Path, path_through
+from experiments.driving.pedestrians import (
+    NOWHERE,
+    PERSON_RADIUS,
+    Pedestrians,
+    place,
+    walk,
+    walkable_cells,
+    without_people,
+)
 
 #: Status of a robot that has reached a front door, and of one that has nothing left to explore.
 ARRIVED, NOTHING_LEFT = 1, 2

@@ -14,8 +14,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.grid import HEADINGS
-from dc2g_jax.robot.driving.footprint import ROUNDING, Ground, blocked_around, cell_centers, free_straight
+from dc2g_jax.robot.driving.footprint import Ground, blocked_around, cell_centers
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, wrapped
+from experiments.driving.lines import ROUNDING, free_straight
 
 #: Largest distance of the target point along the path, meters, and the number of evenly spaced points up to there that
 #: are tried, besides the one nearest to the vehicle.

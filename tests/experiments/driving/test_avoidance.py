@@ -9,10 +9,10 @@ from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.terrain import GRASS, TRAVERSABLE
 from dc2g_jax._src.readers.starts import start_cells
 from dc2g_jax.families.procedural import procedural_training_houses
-from dc2g_jax.robot.driving._pedestrians import NOWHERE, PERSON_RADIUS, Pedestrians, place, walkable_cells
-from dc2g_jax.robot.driving.avoidance import People, avoid
 from dc2g_jax.robot.driving.footprint import Ground, cell_centers
 from dc2g_jax.robot.driving.vehicle import VehicleState, at_rest, drive
+from experiments.driving.avoidance import People, avoid
+from experiments.driving.pedestrians import NOWHERE, PERSON_RADIUS, Pedestrians, place, walkable_cells
 from tests.oracles.vehicle_oracle import clearance, driven
 from tests.support.maps import drawn
 from tests.support.streets import LIMITS, Episode, episodes

@@ -21,8 +21,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax.robot.driving.following import Path, aim, steer
-from dc2g_jax.robot.driving.footprint import Ground, blocked_around, clearance, free_straight, needed_clearance
+from dc2g_jax.robot.driving.footprint import Ground, blocked_around, clearance
 from dc2g_jax.robot.driving.vehicle import (
     CONTROL_PERIOD,
     VehicleLimits,
@@ -31,6 +30,8 @@ from dc2g_jax.robot.driving.vehicle import (
     reachable_command,
     wrapped,
 )
+from experiments.driving.following import Path, aim, steer
+from experiments.driving.lines import free_straight, needed_clearance
 
 #: Numbers of speeds and turn rates that are tried, evenly spaced over the reachable ones.
 _SPEEDS, _TURN_RATES = 5, 9

@@ -5,7 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.robot.driving._pedestrians import (
+from dc2g_jax.robot.driving.footprint import Ground
+from dc2g_jax.robot.driving.vehicle import VehicleState, at_rest
+from dc2g_jax.robot.mapping.camera import Frame, intrinsics, level_camera
+from experiments.driving.pedestrians import (
     NOWHERE,
     PATIENCE,
     PERSON_HEIGHT,
@@ -18,9 +21,6 @@ from dc2g_jax.robot.driving._pedestrians import (
     walkable_cells,
     without_people,
 )
-from dc2g_jax.robot.driving.footprint import Ground
-from dc2g_jax.robot.driving.vehicle import VehicleState, at_rest
-from dc2g_jax.robot.mapping.camera import Frame, intrinsics, level_camera
 from tests.oracles.vehicle_oracle import clearance
 from tests.support.maps import drawn
 
