@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line, digests, network_for
+from dc2g_jax._src.cli.common import check_planners, command_line, digests, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
@@ -22,6 +22,7 @@ from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import published_episodes
 from dc2g_jax._src.runtime.errors import InputError
 from experiments.support import published
+from experiments.support.commands import PlannerOption
 from experiments.support.published import PUBLISHED_GROUPS
 
 

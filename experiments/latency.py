@@ -10,13 +10,14 @@ import itertools
 
 import numpy as np
 
-from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line, network_for
+from dc2g_jax._src.cli.common import check_planners, command_line, network_for
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.runtime.errors import InputError
+from experiments.support.commands import PlannerOption
 
 from .benchmarks.decisions import LatencyRow, waits
 from .benchmarks.machine import describe

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from dc2g_jax._src.cli.common import HouseOption, command_line
+from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.files.atomic import write_json
@@ -25,6 +25,7 @@ from dc2g_jax.indoor.search.agent import DECLARED
 from dc2g_jax.indoor.search.evaluation import results_of
 from dc2g_jax.indoor.search.guides import AgentName, agent_with, true_distance
 from dc2g_jax.indoor.search.searches import Searches, reset, sample_episodes, site_of
+from experiments.support.commands import HouseOption
 from experiments.support.search_figures import RecordedSearch, animate_search, plot_prediction, plot_search
 from experiments.support.search_moments import choose_legs, moment_of, prediction_at, run_search
 from experiments.support.search_recording import record_search
@@ -62,7 +63,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), TARGETS.index(episode.target)
-    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), site, agent, options.limit)
+    first = reset(jax.random.key(options.seed), (start, jnp.int32(goal)), agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, OptionalInt, TrainingOptions
-from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null, output_folder, print_files
+from dc2g_jax._src.cli.outputs import command_written, commit, output_folder, print_files
 from dc2g_jax._src.estimation.checkpoints import newest_step, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
@@ -24,6 +24,7 @@ from dc2g_jax._src.runtime.errors import InputError, check_number, check_seed
 from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
 from dc2g_jax._src.training.sweeps import in_turns
 from dc2g_jax._src.training.tracking import TrackerName, run_folder
+from experiments.support.commands import number_or_null
 from experiments.translator.evaluation import metrics_over_pairs
 from experiments.translator.figures import plot_training
 from experiments.translator.network import TRANSLATOR, TranslatorArchitecture, TranslatorCostToGo

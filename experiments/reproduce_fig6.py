@@ -13,11 +13,12 @@ import tyro
 
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
-from dc2g_jax._src.cli.outputs import number_or_null, output_folder, print_files
+from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.tables import text_table, write_table
 from dc2g_jax._src.readers.houses import House, group_of, open_dataset
+from experiments.support.commands import number_or_null
 from experiments.translator.evaluation import distances_from_training, full_map_metrics
 from experiments.translator.figures import METRIC_LABELS, plot_by_similarity
 from experiments.translator.metrics import HouseMetrics

@@ -5,7 +5,7 @@
 
 import dataclasses
 
-from dc2g_jax._src.cli.common import HouseOption, command_line
+from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import start_in
 from dc2g_jax._src.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax._src.cli.options import DatasetOptions
@@ -15,6 +15,7 @@ from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
+from experiments.support.commands import HouseOption
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,14 +8,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from dc2g_jax._src.cli.common import (
-    HouseOption,
-    NetworkOption,
-    PlannerOption,
-    check_planners,
-    command_line,
-    network_for,
-)
+from dc2g_jax._src.cli.common import NetworkOption, check_planners, command_line, network_for
 from dc2g_jax._src.cli.map_options import StartOption, start_in
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
@@ -28,6 +21,7 @@ from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax.robot.recording import MappedFrame, record_camera
 from experiments.driving.drive import reset
 from experiments.driving.fleet import Moment, moments, sites_of
+from experiments.support.commands import HouseOption, PlannerOption
 from experiments.support.drive_figures import plot_moments
 from experiments.support.driving import SECONDS_LIMIT, STATUS_NAMES, DrivingOptions, equipment
 

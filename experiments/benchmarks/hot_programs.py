@@ -196,7 +196,7 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         true_distance=None,
     )
     own = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
-    return _robots_steps(searches.reset, searches.TIME_LIMIT, leg, own, sites, agent, mesh)
+    return _robots_steps(searches.at_start, searches.TIME_LIMIT, leg, own, sites, agent, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:

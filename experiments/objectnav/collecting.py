@@ -10,16 +10,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
+from dc2g_jax.grid import component_numbers
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
-from dc2g_jax.indoor.houses.worlds import IndoorWorld, largest_region, padded_alike, painted, scene
+from dc2g_jax.indoor.houses.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.indoor.learning.midlevel import TrainedEncoder
-from dc2g_jax.indoor.maps.camera import CameraView, camera_over, indoor_camera, view
+from dc2g_jax.indoor.maps.camera import CameraView, camera_pose, indoor_camera, view
 from dc2g_jax.indoor.maps.classes import GOALS
-from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, inflated, with_tight_cells
+from dc2g_jax.indoor.maps.cost_maps import ROBOT_RADIUS, inflated, straight_distance, with_tight_cells
+from dc2g_jax.indoor.maps.fast_marching import geodesic_distance
 from dc2g_jax.indoor.maps.mapping import EXPLORED_CHANNEL, IndoorMap, IndoorMapSettings, has, with_frame
-from dc2g_jax.robot import Scene, render, wrapped
+from dc2g_jax.robot import CameraPose, Scene, render, wrapped
 from dc2g_jax.runtime import InputError, check_number, deal, gather, jit, mesh_of, on_each, replicate
 from experiments.objectnav.data import JourneySet, in_millimeters, map_of
 
@@ -64,6 +67,12 @@ class _Robot(NamedTuple):
     cell: Int[Array, "2"]
     heading: Float[Array, ""]
     stage: Int[Array, ""]
+
+
+def camera_over(cell: Int[Array, "2"], heading: ArrayLike, cell_size: ArrayLike) -> CameraPose:
+    """The pose of the camera of a robot in the center of a cell (row and column) of a house; see `camera_pose`."""
+    row, column = (cell + 0.5) * cell_size
+    return camera_pose(column, -row, heading)
 
 
 def explore(
@@ -173,6 +182,12 @@ def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
     return padded_alike(worlds)
 
 
+def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
+    """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
+    region = component_numbers(world.fits)
+    return (region == np.argmax(np.bincount(region[region > 0], minlength=1))) & (region > 0)
+
+
 def _random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
     """Rows and columns of random cells in the largest part of a house that a robot can drive about.
 
@@ -183,6 +198,27 @@ def _random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> 
     if not len(cells):
         raise InputError("a robot fits nowhere in a house; give houses with wider rooms")
     return cells[rng.integers(len(cells), size=count)].astype(np.int32)
+
+
+def distance_for_vehicle(
+    obstacles: Bool[Array, "h w"], goals: Bool[Array, "h w"], radius: float, cell_size: float
+) -> Float[Array, "h w"]:
+    """Distance that the center of a round vehicle has to drive until it touches the goal (fast marching method).
+
+    The vehicle cannot touch the goal through an obstacle.
+
+    Args:
+      obstacles: cells that the vehicle must not touch, except those of the goal.
+      goals: cells of the goal, obstacles or free.
+      radius: radius of the vehicle, meters.
+      cell_size: edge of a cell, meters.
+
+    Returns:
+      float32 meters; infinity where the vehicle does not fit and where no path leads to the goal.
+    """
+    near = jnp.isfinite(straight_distance(goals, obstacles & ~goals, cell_size, radius + cell_size))
+    touching = goals | (inflated(goals, radius, cell_size) & near & ~obstacles)
+    return geodesic_distance(~inflated(obstacles, radius, cell_size), touching, cell_size)
 
 
 def _distances(

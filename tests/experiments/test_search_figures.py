@@ -43,7 +43,7 @@ class EastIsGood:
 
 def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     world, side = two_rooms().world, AGENT.mapping.local
-    robot = reset(jax.random.key(0), (jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT))), None, AGENT, 5)
+    robot = reset(jax.random.key(0), (jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT))), AGENT, 5)
     site = site_of(world, "two_rooms", AGENT)
     truth = true_distance(world, AGENT)
     knowing = AGENT.replace(estimator=EastIsGood(), true_distance=truth)

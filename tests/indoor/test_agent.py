@@ -60,7 +60,7 @@ def agent_with(guide=nowhere, **parts):
 
 def robot_at(x, y, yaw=0.0):
     start = jnp.array([x, y, yaw], jnp.float32)
-    return reset(KEY, (start, jnp.int32(PLANT_TARGET)), None, agent_with(), LIMIT)
+    return reset(KEY, (start, jnp.int32(PLANT_TARGET)), agent_with(), LIMIT)
 
 
 def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):

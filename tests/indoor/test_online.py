@@ -58,7 +58,7 @@ def recording(name: str) -> tuple[list[Moment], np.ndarray]:
     render_at = lambda pose: render(site.scene, agent.camera, pose, agent.mapping.reach)  # noqa: E731
     take, photograph = jax.jit(render_at), jax.jit(lambda robot: picture(robot, site))
     look, drive = (jax.jit(lambda robot, step=step: step(robot, site, agent)) for step in (look_and_decide, act))
-    robot = reset(jax.random.key(SEED), (jnp.array(START), jnp.int32(GOALS.index(PLANT))), site, agent, LIMIT)
+    robot = reset(jax.random.key(SEED), (jnp.array(START), jnp.int32(GOALS.index(PLANT))), agent, LIMIT)
     moments: list[Moment] = []
     while is_active(robot):
         x, y, yaw, *speeds = np.asarray(robot.track[len(moments)])

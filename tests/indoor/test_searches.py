@@ -36,7 +36,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     starts = jnp.array([(one.x, one.y, one.yaw) for one in episodes], jnp.float32)
     targets = jnp.array([GOALS.index(OBJECT_CLASSES.index(one.target)) for one in episodes])
     keys = jax.random.split(jax.random.key(0), len(episodes))
-    robots = jax.vmap(lambda key, search: reset(key, search, None, AGENT, 12))(keys, (starts, targets))
+    robots = jax.vmap(lambda key, search: reset(key, search, AGENT, 12))(keys, (starts, targets))
     site = jax.tree.map(lambda leaf: jnp.asarray(leaf), site_of(house.world, house.name, AGENT))
 
     @jax.jit
@@ -57,7 +57,7 @@ def test_drift_moves_where_a_robot_believes_to_be_and_not_where_it_is(found):
     site = site_of(house.world, house.name, AGENT)
     next_leg = jax.jit(lambda robot, noise: leg(robot, site, AGENT.replace(noise=noise)))
     for noise in (NoiseLevels(0.0), NoiseLevels(0.0, position_drift=0.3, yaw_drift=0.1)):
-        first = reset(jax.random.key(0), (start, target), site, AGENT, 30)
+        first = reset(jax.random.key(0), (start, target), AGENT, 30)
         robot = next_leg(next_leg(next_leg(first, noise), noise), noise)
         drift = robot.drift
         assert np.any(drift != 0) == np.any(noise.position_drift != 0)

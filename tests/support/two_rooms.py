@@ -6,7 +6,7 @@ import numpy as np
 
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
-from dc2g_jax.indoor.houses.worlds import IndoorWorld, largest_region, painted, scene
+from dc2g_jax.indoor.houses.worlds import IndoorWorld, painted, scene
 from dc2g_jax.indoor.maps.camera import CameraView, view
 from dc2g_jax.indoor.maps.classes import BED, PLANT
 from dc2g_jax.indoor.maps.mapping import IndoorMapSettings
@@ -14,6 +14,7 @@ from dc2g_jax.indoor.search.agent import LIMITS, Agent, with_mpc
 from dc2g_jax.indoor.search.guides import nearest_frontier, until_seen
 from dc2g_jax.robot.driving.mppi import MPPISettings
 from dc2g_jax.robot.mapping.camera import intrinsics, level_camera
+from experiments.objectnav.collecting import largest_region
 
 #: An agent with a small camera that samples few controls.
 AGENT = Agent(

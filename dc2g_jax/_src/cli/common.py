@@ -34,15 +34,13 @@ _Options = TypeVar("_Options", bound=CommandOptions)
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
-#: One planner and several: names in `planning.named.PLANNERS`, or `package.module:Name`.
-PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
+#: Planners: names in `planning.named.PLANNERS`, or `package.module:Name`.
 PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
 #: Rules: a name in `planning.rules.SETTINGS`, or `package.module:Name`.
 SettingsOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
 
-#: A house by its name, and the size of a camera's images in pixels.
-HouseOption = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+#: Size of a camera's images in pixels.
 ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
 
 

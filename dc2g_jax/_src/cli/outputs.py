@@ -5,7 +5,6 @@ import datetime
 import functools
 import importlib.metadata
 import json
-import math
 import os
 import shlex
 import subprocess
@@ -59,11 +58,6 @@ WHERE = ("out", "resume", "track", *(field.name for field in dataclasses.fields(
 
 #: Folders that this process writes to, as absolute paths in order, each with the open file that locks it.
 _held: dict[Path, int | None] = {}
-
-
-def number_or_null(value: float) -> float | None:
-    """The number, or `None` for NaN and infinities, which JSON does not have."""
-    return value if math.isfinite(value) else None
 
 
 def output_folder(

@@ -13,7 +13,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int16, UInt8
 from scipy.ndimage import distance_transform_edt
 
-from dc2g_jax.grid import component_numbers, connected_to
+from dc2g_jax.grid import connected_to
 from dc2g_jax.indoor.maps.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, NO_COLOR, OBJECT_COLORS
 from dc2g_jax.indoor.maps.cost_maps import REACH, ROBOT_RADIUS, Cells, inflated
 from dc2g_jax.robot import Scene, scene_from_heights
@@ -106,12 +106,6 @@ def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
 
 def _distance_to(cells: Bool[np.ndarray, "h w"], cell_size: float) -> Float[np.ndarray, "h w"]:
     return distance_transform_edt(~cells).astype(np.float32) * cell_size
-
-
-def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
-    """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
-    region = component_numbers(world.fits)
-    return (region == np.argmax(np.bincount(region[region > 0], minlength=1))) & (region > 0)
 
 
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:

@@ -5,7 +5,7 @@ import math
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.indoor.maps.classes import NO_COLOR
 from dc2g_jax.robot import CameraPose, Intrinsics, Scene, cast_all, classes_of, intrinsics, level_camera, rays
@@ -53,12 +53,6 @@ def camera_pose(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> CameraPose:
       yaw: direction of the robot, counter-clockwise from +x, radians.
     """
     return level_camera(x, y, INDOOR_CAMERA_HEIGHT, yaw, INDOOR_CAMERA_PITCH)
-
-
-def camera_over(cell: Int[Array, "2"], heading: ArrayLike, cell_size: ArrayLike) -> CameraPose:
-    """The pose of the camera of a robot in the center of a cell (row and column) of a house; see `camera_pose`."""
-    row, column = (cell + 0.5) * cell_size
-    return camera_pose(column, -row, heading)
 
 
 def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> CameraView:

@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.grid import shifted
-from dc2g_jax.indoor.maps.fast_marching import geodesic_distance, travel_cost
+from dc2g_jax.indoor.maps.fast_marching import travel_cost
 from dc2g_jax.robot import CostOfPose
 
 #: An array of NumPy, on the host, or of JAX.
@@ -94,27 +94,6 @@ def straight_distance(
     square = functools.reduce(jnp.minimum, (shifted(in_row, 0, offset, jnp.inf) + offset**2 for offset in offsets))
     distance = jnp.sqrt(square) * cell_size
     return jnp.where(reached & (distance <= most + 1e-4), distance, jnp.inf)
-
-
-def distance_for_vehicle(
-    obstacles: Bool[Array, "h w"], goals: Bool[Array, "h w"], radius: float, cell_size: float
-) -> Float[Array, "h w"]:
-    """Distance that the center of a round vehicle has to drive until it touches the goal (fast marching method).
-
-    The vehicle cannot touch the goal through an obstacle.
-
-    Args:
-      obstacles: cells that the vehicle must not touch, except those of the goal.
-      goals: cells of the goal, obstacles or free.
-      radius: radius of the vehicle, meters.
-      cell_size: edge of a cell, meters.
-
-    Returns:
-      float32 meters; infinity where the vehicle does not fit and where no path leads to the goal.
-    """
-    near = jnp.isfinite(straight_distance(goals, obstacles & ~goals, cell_size, radius + cell_size))
-    touching = goals | (inflated(goals, radius, cell_size) & near & ~obstacles)
-    return geodesic_distance(~inflated(obstacles, radius, cell_size), touching, cell_size)
 
 
 def distance_to_object(

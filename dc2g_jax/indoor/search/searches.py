@@ -5,7 +5,7 @@ Results are in `search.evaluation`.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -95,14 +95,9 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
 
 
 def reset(
-    key: Key[Array, ""],
-    search: tuple[Float[Array, "3"], Int[Array, ""]],
-    site: IndoorSite | None,
-    agent: Agent,
-    limit: int,
+    key: Key[Array, ""], search: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
 ) -> IndoorRobot:
     """The robot at its start (x and y, meters, and yaw, radians), with an empty map, for `limit` control periods."""
-    del site
     start, target = search
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
@@ -114,6 +109,11 @@ def reset(
         collisions=jnp.int32(0),
         track=track,
     )
+
+
+def at_start(key: Key[Array, ""], search: Any, site: IndoorSite, agent: Agent, limit: int) -> IndoorRobot:
+    """`reset` as `run_all` calls it, with the house, which robots do not know."""
+    return reset(key, search, agent, limit)
 
 
 def _camera_of(robot: IndoorRobot) -> CameraPose:
@@ -285,7 +285,7 @@ def search_all(
     own = starts, np.array([TARGETS.index(episode.target) for episode in episodes], np.int32)
     where = np.array([numbers[episode.house] for episode in episodes], np.int32)
     track, status, steps, collisions = run_all(
-        reset, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
+        at_start, leg, lambda robots: (robots.track, robots.status, robots.periods, robots.collisions),
         own, where, sites, agent,
         seed=seed, number=limit, limit=limit, first_steps=_FIRST_LEGS, on_progress=on_progress,
     )  # fmt: skip
