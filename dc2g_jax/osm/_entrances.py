@@ -21,7 +21,7 @@ from dc2g_jax.families import (
     uniform,
     walkway,
 )
-from dc2g_jax.grid import DRIVEWAY, HOUSE, NOTHING, ROAD, TRAVERSABLE, ClassImage, component_numbers
+from dc2g_jax.grid import DRIVEWAY, HOUSE, NOTHING, ROAD, TRAVERSABLE, ClassImage, connected_to
 from dc2g_jax.osm._shapes import CONNECTED, Patch, street_width
 from dc2g_jax.osm.extract import Area, Line, Spot
 
@@ -203,8 +203,7 @@ class Site:
     ) -> None:
         self.building, self.walls, self.streets = building, facades(building), streets
         self.view, self.classes, self.cell = view, classes, cell
-        labels = component_numbers(TRAVERSABLE[classes])
-        self._connected = TRAVERSABLE[classes] & np.isin(labels, labels[classes == ROAD])
+        self._connected = connected_to(classes == ROAD, TRAVERSABLE[classes])
 
     @functools.cached_property
     def _nearest(self) -> np.ndarray:

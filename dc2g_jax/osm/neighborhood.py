@@ -14,16 +14,7 @@ from scipy import spatial
 
 from dc2g_jax.datasets import House, HouseDataset, sampled
 from dc2g_jax.families import PictureFrame, Sketch, resample
-from dc2g_jax.grid import (
-    FRONT_DOOR,
-    ROAD,
-    TRAVERSABLE,
-    UNKNOWN,
-    ClassImage,
-    component_numbers,
-    resize_nearest,
-    sample_grid,
-)
+from dc2g_jax.grid import FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN, ClassImage, connected_to, resize_nearest, sample_grid
 from dc2g_jax.osm._entrances import Entry, Site, Uses, add_driveway, facades, is_entrance, plan_entry, street_points
 from dc2g_jax.osm._shapes import Patch, fill, mapped_shapes, sidewalk_sides, sidewalks, square_view, street_width
 from dc2g_jax.osm.extract import EXTRACT_ENDINGS, Area, Extract, Line, read_extract
@@ -169,8 +160,7 @@ class Neighborhood:
         doors = [(door, one) for one in around for door in one.doors]
         whole.add("door", [door for door, _ in doors])
         grid = sample_grid(whole.classes(), self._cells)
-        labels = component_numbers(TRAVERSABLE[grid])
-        reached = (grid == FRONT_DOOR) & np.isin(labels, labels[grid == ROAD])
+        reached = (grid == FRONT_DOOR) & connected_to(grid == ROAD, TRAVERSABLE[grid])
         doors = [
             (door, one) for door, one in doors if np.any(resize_nearest(whole.mask([door]), *grid.shape) & reached)
         ]

@@ -70,7 +70,6 @@ def indoor_houses(
     *,
     count: int | None = None,
     cell_size: float = PLAN_CELL_SIZE,
-    seed: int = 0,
     strict: bool = False,
 ) -> list[IndoorHouse]:
     """The first houses of a split.
@@ -82,7 +81,6 @@ def indoor_houses(
         count: number of houses. `None` for all houses of a file, or for 20 procedural ones, as many as a split of
             ProcTHOR's sample has.
         cell_size: side of a cell, meters.
-        seed: seed of the procedural houses.
         strict: whether an invalid house is an error, see `read_procthor`.
 
     Raises:
@@ -92,7 +90,7 @@ def indoor_houses(
     if count is not None:
         check_number("number of houses", count, whole=True, least=1)
     if location == PROCEDURAL:
-        plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
+        plans = [(index, draw_plan(0, split, index)) for index in range(count or 20)]
     else:
         paths = [Path(location) / f"{split}{ending}" for ending in _ENDINGS]
         path = next(filter(Path.is_file, paths), None)
@@ -132,7 +130,7 @@ def indoor_house(
 _MAP_CELLS, _FEWEST_ROOMS, _MAPS = 50, 4, 100
 
 
-def floor_plan_dataset(seed: int = 0, **_: object) -> HouseDataset:
+def floor_plan_dataset(**_: object) -> HouseDataset:
     """Procedural houses seen from above, as maps without classes: free or occupied cells, and a door to find.
 
     The longer side of a house fills the map. Houses have four rooms at least; the door is a free cell at random.
@@ -140,7 +138,7 @@ def floor_plan_dataset(seed: int = 0, **_: object) -> HouseDataset:
 
     def drawn(split: str) -> Iterator[House]:
         for index in itertools.count():
-            plan, rng = draw_plan(seed, split, index), np.random.default_rng([seed, index])
+            plan, rng = draw_plan(0, split, index), np.random.default_rng([0, index])
             if len(plan.rooms) < _FEWEST_ROOMS:
                 continue
             sides = world_from_plan(plan, PLAN_CELL_SIZE).free.shape

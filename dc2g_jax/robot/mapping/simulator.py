@@ -221,19 +221,10 @@ def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
     )
 
 
-def picture(
-    scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: ArrayLike = math.inf
-) -> UInt8[Array, "h w 3"]:
-    """Render a color picture of the scene by daylight, without shadows.
-
-    Args:
-      scene: the scene.
-      intrinsics: intrinsics of the camera.
-      pose: pose of the camera.
-      max_range: distance from the camera at which the sky begins, meters.
-    """
+def picture(scene: Scene, intrinsics: Intrinsics, pose: CameraPose) -> UInt8[Array, "h w 3"]:
+    """Render a color picture of the scene by daylight, without shadows and with unlimited range."""
     directions = rays(intrinsics, pose)
-    hits = cast_all(scene, pose, directions, max_range)
+    hits = cast_all(scene, pose, directions, math.inf)
     classes = classes_of(scene, hits)
     height = pose.position[2] + hits.distance * directions[..., 2]
     is_foot = jnp.asarray(_OBSTACLES)[classes] & (height < _ROUNDING)
