@@ -25,8 +25,8 @@ from dc2g_jax.grid import CLASS_BITS, CLASS_NAMES, NOTHING, UNKNOWN
 from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes, points, rays
 from dc2g_jax.runtime import InputError
 
-#: Log-odds are stored as integers, in units of 0.05. OctoMap's defaults: a hit adds 0.85, a miss subtracts 0.40, the sum
-#: stays within -2.0 and 3.5. A new voxel is occupied after one hit; a voxel at the upper limit is free after nine misses.
+#: Log-odds are stored as integers, in units of 0.05. As in OctoMap, a hit adds 0.85, a miss subtracts 0.40, and the sum
+#: stays within -2.0 and 3.5. A new voxel is occupied after one hit; one at the upper limit is free after nine misses.
 HIT, MISS, LOWEST, HIGHEST = 17, 8, -40, 70
 
 #: Log-odds of a voxel that no frame has observed.
