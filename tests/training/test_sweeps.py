@@ -20,7 +20,6 @@ from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.runtime import devices
 from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
 from dc2g_jax._src.runtime.errors import InputError
-from dc2g_jax._src.training import step
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, mean_loss
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
@@ -127,11 +126,10 @@ def test_more_runs_than_fit_take_turns():
         in_turns(runs, 0)
 
 
-@pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
-def on(request, monkeypatch):
-    """Steps as a CPU takes them, and as an accelerator does."""
-    for module in (step, devices):
-        monkeypatch.setattr(module, "platform", lambda mesh: request.param)
+@pytest.fixture
+def stack(monkeypatch):
+    """Runs divided among the devices, as on accelerators."""
+    monkeypatch.setattr(devices, "platform", lambda mesh: "gpu")
 
 
 def take_steps(data, state, hyperparameters, recipe, steps: int, runs: int = 1):
@@ -149,7 +147,7 @@ def train(data, configs, steps: int, states=None):
     return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_together_is_like_alone(data):
     configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
     states, losses = train(data, configs, 5)
@@ -161,7 +159,7 @@ def test_together_is_like_alone(data):
             np.testing.assert_allclose(all_of_them[index], one, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_runs_together_are_one_program(data):
     configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]))[0].values())
     train(data, configs, 1)
@@ -170,7 +168,7 @@ def test_runs_together_are_one_program(data):
     assert learn.compiled_count() == before
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
     whole, _ = train(data, configs, 6)
@@ -193,7 +191,7 @@ def test_a_loss_of_no_weight_makes_no_run_diverge(data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
     losses = tuple((name, float("nan")) for name, _ in configs[1].losses)
@@ -203,7 +201,7 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
     assert np.isfinite(losses[:, 0]).all()
     assert np.isnan(losses[:, 1]).all()
     assert states.step.tolist() == [4, 4]
-    assert steps_left_out(states) == [0, 4]
+    assert [steps_left_out(jax.tree.map(lambda leaf, run=run: leaf[run], states)) for run in range(2)] == [0, 4]
     for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
         np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
     first = first_state(configs[1]).weights
@@ -212,7 +210,8 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
 
 def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
     configs = list(grid(seeds=[0, 1]).values())
-    states = stacked([first_state(config) for config in configs])
+    states = [first_state(config) for config in configs]
+    later = [state.replace(step=jnp.int32(2)) for state in states]
     training, runs = CostToGoTraining(BASE.recipe, DRAW), {str(run): config for run, config in enumerate(configs)}
     task = Task(training, None, runs, 20, lambda *args: {}, lambda *args: None)
     with contextlib.closing(RunStates(task, tmp_path)) as checkpoints:
@@ -220,9 +219,9 @@ def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
         of_runs[1].save(first_state(configs[1]))
         jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states)
         assert of_runs[1].steps() == []
-        checkpoints.save(states.replace(step=states.step + 2))
+        checkpoints.save(later)
         of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved
-        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states.replace(step=states.step + 2))
+        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), later)
         assert [each.steps() for each in of_runs] == [[2], [2]]
 
 
