@@ -73,10 +73,10 @@ def _compared(bench: Bench, row: Row, workload: Workload, planner: str, reach: i
     is 52 bits of the SHA-256 of all actions here.
     """
     run = functools.partial(rollout, bench.planner(planner, reach), workload.worlds, sensing=bench.rules(reach).sensing)
-    measured = _once(lambda: run(workload.episodes))
+    measured = _once(lambda: run(*workload.episodes))
     every = 10 if planner == "dc2g" else 1
     some = jax.tree.map(lambda leaf: leaf[::every], workload.episodes)
-    here, there = measured.output.actions[::every], run(some, devices=jax.devices("cpu")).actions
+    here, there = measured.output.actions[::every], run(*some, devices=jax.devices("cpu")).actions
     equal = float(np.mean(np.all(here == there, axis=1)))
     agreement = {"equal episodes": equal} if planner == "dc2g" else {"same actions": float(equal == 1)}
     row = with_episodes(row, measured)

@@ -15,7 +15,7 @@ from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.training import masks
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
@@ -261,17 +261,15 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
     count = 130
     index = np.arange(count) % 2
     x = np.arange(count) % 10
-    episodes = Episodes(
-        world=jnp.asarray(index, jnp.int32), start=make_pose(x, np.where(index == 0, 4, 7), np.arange(count) % 4)
-    )
+    episodes = jnp.asarray(index), make_pose(x, np.where(index == 0, 4, 7), np.arange(count) % 4)
     options = {"sensing": rules.sensing, "step_limit": 40}
-    collected = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
+    collected = collect_masks(planner, worlds, *episodes, per_episode=3, seed=1, **options)
     assert len(collected.boards) == len(collected.world) > count
     assert set(np.unique(collected.world)) == {0, 1}
     # On the island no goal is ever in reach, so every moment counts.
     assert np.sum(collected.world == 1) == 3 * np.sum(index == 1)
 
-    done = rollout(planner, worlds, episodes, **options)
+    done = rollout(planner, worlds, *episodes, **options)
     walked = {0: set(), 1: set()}
     for number in range(count):
         pose = (int(x[number]), 4 if index[number] == 0 else 7, number % 4)
@@ -285,7 +283,7 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
         assert np.asarray(bitboard.unpack(jnp.asarray(board), 10)).tobytes() in walked[int(world)]
 
     monkeypatch.setattr(masks, "mesh_of", lambda: mesh_of(jax.devices()[:1]))
-    again = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
+    again = collect_masks(planner, worlds, *episodes, per_episode=3, seed=1, **options)
     jax.tree.map(np.testing.assert_array_equal, tuple(again), tuple(collected))
     both = by_house([collected, again])
     np.testing.assert_array_equal(both.world, np.sort(np.concatenate([collected.world] * 2)))

@@ -27,7 +27,7 @@ from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.results import EpisodeResult, Results, rows_of
-from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Trajectories, rollout
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 
@@ -47,8 +47,8 @@ PlannerSource = str | PlannerLike | Callable[[Rules], PlannerLike]
 Planners = Iterable[str] | Mapping[str, PlannerSource]
 
 
-def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes:
-    """Convert starts to `Episodes`, given each house's index in the stack of worlds.
+def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> tuple[Int[Array, "episodes"], Pose]:
+    """Index of the world and first pose of each episode, for `rollout`, given each house's index in the stack.
 
     Raises:
       InputError: a start is in another house.
@@ -57,7 +57,7 @@ def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes
         check_name("house of a start", house, index)
     table = np.array([(index[start.house], start.x, start.y, start.heading) for start in starts], np.int32)
     world, x, y, heading = table.reshape(-1, 4).T
-    return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
+    return jnp.asarray(world), make_pose(x, y, heading)
 
 
 def _default_step_limit(terrain: UInt8[np.ndarray, "h w"]) -> int:
@@ -151,19 +151,21 @@ class Runner:
             if not hasattr(planner, needed):
                 who = name or type(planner).__name__
                 raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
-        episodes = episodes_from(starts, self._index)
+        index, poses = episodes_from(starts, self._index)
 
         def report(finished: int) -> None:
             if self._progress is not None:
                 self._progress(name, finished, len(starts))
 
         report(0)  # before minutes of compilation, perhaps
-        done = rollout(planner, worlds, episodes, sensing=rules.sensing, step_limit=self.step_limit, on_progress=report)
+        done = rollout(
+            planner, worlds, index, poses, sensing=rules.sensing, step_limit=self.step_limit, on_progress=report
+        )
         estimator, gave_up = getattr(planner, "estimator", None), np.flatnonzero(done.mode == GAVE_UP)
         if estimator is not None and gave_up.size:
             first = int(gave_up[0])
-            world = jax.tree.map(lambda leaf: leaf[..., self._index[starts[first].house]], worlds)
-            pose = jax.tree.map(lambda leaf: leaf[first], episodes.start)
+            world = jax.tree.map(lambda leaf: leaf[..., index[first]], worlds)
+            pose = jax.tree.map(lambda leaf: leaf[first], poses)
             actions = jnp.asarray(done.actions[first][: done.steps[first]], jnp.int32)
             if _estimates_nan(estimator, world, pose, actions, sensing=rules.sensing):
                 raise InputError(

@@ -227,7 +227,7 @@ def observation_masks(
                 collect_masks(
                     planner,
                     worlds,
-                    episodes_from(starts, index),
+                    *episodes_from(starts, index),
                     sensing=sensing,
                     view=view,
                     per_episode=config.masks_per_episode,
