@@ -284,7 +284,7 @@ def main(options: Options) -> None:
         names = {house.name for house in houses}
         some = Results(one for one in results if one.house in names)
         print(f"\n{group}: starts in {len(houses)} validation houses\n{some}")
-        facts[group] = {name: row._asdict() for name, row in some.summary().items()}
+        facts[group] = dict(some.summary())
         gains = {label: _gain(some, label, options.seeds) for label in LABELS[1:]}
         facts[group]["less cost_to_go"] = gains
         print(gains, flush=True)

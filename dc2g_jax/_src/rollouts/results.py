@@ -14,14 +14,14 @@ from dc2g_jax._src.planning.planners import MODE_NAMES, Mode
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.rollout import Trajectories
-from dc2g_jax._src.rollouts.statistics import Summary, extra_steps, summarize
+from dc2g_jax._src.rollouts.statistics import extra_steps, summarize
 from dc2g_jax._src.runtime.errors import check_name, short
 
 #: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
 _ROUNDING = 0.1
 
-#: Planner -> group of houses -> summary.
-Table = Mapping[str, Mapping[str, Summary]]
+#: Planner -> group of houses -> summary, see `summarize`.
+Table = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
 class EpisodeResult(NamedTuple):
@@ -123,8 +123,11 @@ class Results(tuple[EpisodeResult, ...]):
             values.setdefault(result.planner, []).append(getattr(result, field))
         return {planner: np.array(own) for planner, own in values.items()}
 
-    def summary(self) -> dict[str, Summary]:
-        """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
+    def summary(self) -> dict[str, Mapping[str, float]]:
+        """For each planner `mean_extra`, `median_extra`, `quartile_25` and `quartile_75`, extra steps in percent;
+        `success`, 0 to 1; the number of `episodes`; and `mean_low` and `mean_high`, the 95 % interval of the mean over
+        houses.
+        """
         return {planner: row["all"] for planner, row in tabulate(self, ("all",)).items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -138,7 +141,7 @@ class Results(tuple[EpisodeResult, ...]):
 
 def tabulate(
     results: Iterable[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str] | None = None
-) -> dict[str, dict[str, Summary]]:
+) -> Table:
     """Summary by planner and group of houses; the last of the groups holds all episodes."""
     cells: dict[str, dict[str, list[EpisodeResult]]] = {}
     for one in results:
@@ -154,10 +157,16 @@ def tabulate(
     }
 
 
-def as_text(table: Mapping[str, Summary]) -> str:
+def as_text(table: Mapping[str, Mapping[str, float]]) -> str:
     """A table: extra steps beyond the oracle and success, a line for each planner."""
     rows = (
-        (planner, f"{row.mean_extra:.1f}", f"{row.median_extra:.1f}", f"{100 * row.success:.1f}", f"{row.episodes:,}")
-        for planner, row in table.items()
+        (
+            planner,
+            f"{of['mean_extra']:.1f}",
+            f"{of['median_extra']:.1f}",
+            f"{100 * of['success']:.1f}",
+            f"{of['episodes']:,}",
+        )
+        for planner, of in table.items()
     )
     return text_table(("planner", "extra steps %: mean", "median", "success %", "episodes"), rows)

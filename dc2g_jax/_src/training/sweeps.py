@@ -338,7 +338,7 @@ def _episodes(
             raise InputError(f"{path}: {run} has {short(found[run])}, no figures; {remedy}")
         if run not in found:
             summary = evaluate(["dc2g"], dataset, split=split, network=network, progress=False).summary()["dc2g"]
-            found[run] = {"mean_extra": round(summary.mean_extra, 2), "median_extra": round(summary.median_extra, 2)}
+            found[run] = {name: round(summary[name], 2) for name in ("mean_extra", "median_extra")}
             write_json(path, found)
     return found
 
