@@ -4,7 +4,10 @@ import contextlib
 import dataclasses
 import functools
 import shutil
+import subprocess
+import sys
 from typing import Any
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +23,11 @@ from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.runtime import devices
 from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
 from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.training import sweeps
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, mean_loss
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
-from dc2g_jax._src.training.losses import parse_losses
+from dc2g_jax._src.training.losses import LOSSES, loss_sha256, parse_losses
 from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
 from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, in_turns, named_losses, runs_of_grid, sweep
@@ -319,6 +323,30 @@ def test_a_sweep_gives_arrays_and_goes_on_where_it_was(tmp_path):
     jax.tree.map(np.testing.assert_array_equal, again.networks, in_turn.networks)
     other_data = {"data": dataclasses.replace(SMALL["data"], data_seed=1)}
     refusal(lambda: sweep_houses(tmp_path / "in_turn", **other_data), "data_seed was 0")
+
+
+def test_a_loss_of_ones_own_that_was_edited_is_not_gone_on_with(tmp_path, monkeypatch):
+    for name in ("pairs_to_validate", "open_training_set"):
+        monkeypatch.setattr(sweeps, name, lambda *args: None)
+    monkeypatch.setattr(sweeps, "train_runs", mock.Mock(side_effect=KeyboardInterrupt))
+
+    def begin_with(bend):
+        def mine(estimate, target, levels):
+            return jnp.abs(estimate - target) / (bend + jax.nn.relu(target))
+
+        sweep_houses(tmp_path, losses={"mine": mine})
+
+    for bend in (np.arange(1, 6), np.arange(1, 6)):  # the second is the same function, written anew
+        with pytest.raises(KeyboardInterrupt):
+            begin_with(bend)
+    for bend in (0.5, np.arange(2, 7)):
+        refusal(lambda bend=bend: begin_with(bend), "losses_sha256: mine was", "give the same options to resume it")
+
+
+def test_the_digest_of_a_loss_is_the_same_in_every_process():
+    code = "from tests.training.test_sweeps import own_loss, loss_sha256; print(loss_sha256(own_loss))"
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    assert other == loss_sha256(own_loss) != loss_sha256(LOSSES["l1"])
 
 
 @pytest.mark.parametrize(

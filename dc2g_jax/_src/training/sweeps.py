@@ -7,7 +7,7 @@ import itertools
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -205,44 +205,6 @@ def in_turns(runs: Mapping[str, _Run], at_once: int) -> list[dict[str, _Run]]:
     return [{name: runs[name] for name in turn} for turn in turns]
 
 
-def check_sweep(
-    dataset: HouseDataset | str | os.PathLike[str] | None = None,
-    *,
-    losses: LossSources = tuple(LOSSES),
-    seeds: Sequence[int] = (0, 1, 2),
-    learning_rates: Sequence[float] | None = None,
-    widths: Sequence[Sequence[int]] | None = None,
-    config: TrainingConfig = SWEEP,
-    data: DataConfig | None = None,
-    pauses: Pauses = PAUSES,
-    split: str | None = "val",
-    runs_at_once: int = 64,
-    track: TrackerName | None = None,
-) -> list[Plan]:
-    """Check the arguments of `sweep`, without computing or writing anything.
-
-    Returns:
-      The runs that are trained together, in turn.
-
-    Raises:
-      InputError: see `sweep`.
-    """
-    sums, own_losses = named_losses(losses)
-    runs = runs_of_grid(
-        config,
-        losses=sums,
-        learning_rates=learning_rates or (config.learning_rate,),
-        widths=widths or (config.architecture.widths,),
-        seeds=seeds,
-    )
-    turns = [turn for group in group_by_shape(runs) for turn in in_turns(group, runs_at_once)]
-    plan = checked(
-        dataset, {run: one for turn in turns for run, one in turn.items()}, data=data, pauses=pauses, split=split,
-        track=track, validated=True, own_losses=own_losses, at_once=runs_at_once,
-    )  # fmt: skip
-    return [plan._replace(runs={run: plan.runs[run] for run in turn}) for turn in turns]
-
-
 def sweep(
     out: str | os.PathLike[str],
     dataset: HouseDataset | str | os.PathLike[str] | None = None,
@@ -259,6 +221,7 @@ def sweep(
     track: TrackerName | None = None,
     picture: Picture | None = None,
     card: Mapping[str, Any] | None = None,
+    begin: Callable[[], object] | None = None,
 ) -> Sweep:
     """Train a network with every combination of losses, learning rates, widths and seeds, and compare them.
 
@@ -292,17 +255,29 @@ def sweep(
       track: see `train`.
       picture: see `train`.
       card: see `train`.
+      begin: see `train`.
 
     Raises:
       InputError: a value is invalid, the dataset cannot be trained on, or the folder holds a sweep with other settings.
     """
     keep_compiled_programs()
     out = Path(out)
-    turns = check_sweep(
-        dataset, losses=losses, seeds=seeds, learning_rates=learning_rates, widths=widths, config=config, data=data,
-        pauses=pauses, split=split, runs_at_once=runs_at_once, track=track,
+    sums, own_losses = named_losses(losses)
+    runs = runs_of_grid(
+        config,
+        losses=sums,
+        learning_rates=learning_rates or (config.learning_rate,),
+        widths=widths or (config.architecture.widths,),
+        seeds=seeds,
+    )
+    grouped = [turn for group in group_by_shape(runs) for turn in in_turns(group, runs_at_once)]
+    plan = checked(
+        dataset, {run: one for turn in grouped for run, one in turn.items()}, data=data, pauses=pauses, split=split,
+        track=track, validated=True, own_losses=own_losses, at_once=runs_at_once,
     )  # fmt: skip
-    plan, runs = turns[0], {run: config for turn in turns for run, config in turn.runs.items()}
+    turns = [plan._replace(runs={run: plan.runs[run] for run in turn}) for turn in grouped]
+    if begin is not None:
+        begin()
     opened = functools.cache(lambda: (pairs_to_validate(plan), open_training_set(out, plan.dataset, plan.data)))
     networks: dict[str, NetworkCostToGo] = {}
     for turn in turns:
@@ -316,7 +291,7 @@ def sweep(
             )  # fmt: skip
         networks |= {run: network for run, network in zip(turn.runs, found, strict=True) if network is not None}
     extra = {} if split is None else _episodes(out, plan.dataset, split, networks)
-    result = _result(out, plan, runs, networks, extra)
+    result = _result(out, plan, networks, extra)
     rows = sorted(result.table, key=lambda row: (row["steps_left_out"] > 0, _quality(row)))
     write_table(out / "results.csv", list(rows[0]), (list(row.values()) for row in rows))
     return result
@@ -344,15 +319,11 @@ def _episodes(
 
 
 def _result(
-    out: Path,
-    plan: Plan,
-    runs: Mapping[str, TrainingConfig],
-    networks: Mapping[str, NetworkCostToGo],
-    extra: Mapping[str, Mapping[str, float]],
+    out: Path, plan: Plan, networks: Mapping[str, NetworkCostToGo], extra: Mapping[str, Mapping[str, float]]
 ) -> Sweep:
     """The result of a sweep, from its log. Multiply-accumulates are for one map of the dataset."""
-    logs = {run: Log(out).by_step(run, ("error", "steps_left_out")) for run in runs}
-    architectures = dict.fromkeys(config.architecture for config in runs.values())
+    logs = {run: Log(out).by_step(run, ("error", "steps_left_out")) for run in plan.runs}
+    architectures = dict.fromkeys(config.architecture for config in plan.runs.values())
     macs = {one: multiply_accumulates(one, *plan.dataset.houses[0].terrain.shape) for one in architectures}
     table = tuple(
         {
@@ -367,7 +338,7 @@ def _result(
             "error": logs[run][config.steps]["error"],
             **extra.get(run, {}),
         }
-        for run, config in runs.items()
+        for run, config in plan.runs.items()
     )
     steps = np.array(sorted(set.intersection(*(set(log) for log in logs.values()))))
     curves = np.array([[log[step]["error"] for step in steps] for log in logs.values()])
