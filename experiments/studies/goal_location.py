@@ -7,7 +7,7 @@ goal cell, and the goal's place on the map. Algorithm 2 then goes by each of the
 import dataclasses
 import functools
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -36,7 +36,7 @@ from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, drawn_houses, validation_pairs
 from dc2g_jax._src.training.loop import Pauses
-from dc2g_jax._src.training.pairs import Pair
+from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.train import train
 
 from .unknown_dimensions import SEEDS
@@ -86,18 +86,11 @@ class LabeledData(DataConfig):
 
     label: str = "cost_to_go"
 
-    @property
-    def draw_batch(self) -> Any:
+    def draw_batch(self, key: Array, data: TrainingSet, *, batch_size: int) -> Pair:
         """Draws the pairs of a step."""
-        return {
-            "cost_to_go": super().draw_batch,
-            "distance": functools.partial(_drawn, super().draw_batch, to_distance),
-            "place": functools.partial(_drawn, super().draw_batch, to_place),
-        }[self.label]
-
-
-def _drawn(draw: Any, change: Any, *args: Any, **options: Any) -> Pair:
-    return change(draw(*args, **options))
+        pairs = super().draw_batch(key, data, batch_size=batch_size)
+        change: Callable[[Pair], Pair] = {"distance": to_distance, "place": to_place}.get(self.label, lambda same: same)
+        return change(pairs)
 
 
 @struct.dataclass

@@ -28,16 +28,16 @@ from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, 
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
 from dc2g_jax._src.training.losses import LOSSES, loss_sha256, parse_losses
-from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
-from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, in_turns, named_losses, runs_of_grid, sweep
+from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, named_losses, runs_of_grid, sweep
 from tests.support import maps
 from tests.support.houses import STREET, house
 from tests.support.refusals import refusal
 from tests.support.trainings import first_state
 
 BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
-DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
+DRAW = DataConfig(own_share=1.0, edge_weight=2.0, half_weight_cost=np.inf, jitter=0.0, whole_share=0.0).draw_batch
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_learning_rates_that_are_refused(rate):
 
 def test_runs_of_one_shape_go_together():
     runs = grid(losses=["l1", "l2=3"], seeds=[0, 1], widths=[(4,) * 4, (8,) * 4])
-    groups = group_by_shape(runs)
+    groups = group_by_shape(runs, 64)
     assert [len(group) for group in groups] == [4, 4]
     assert {name for group in groups for name in group} == set(runs)
     for group in groups:
@@ -123,11 +123,11 @@ def test_runs_of_one_shape_go_together():
 
 def test_more_runs_than_fit_take_turns():
     runs = grid(seeds=range(5))
-    turns = in_turns(runs, 2)
+    turns = group_by_shape(runs, 2)
     assert [len(turn) for turn in turns] == [2, 2, 1]
     assert {name: config for turn in turns for name, config in turn.items()} == runs
     with pytest.raises(InputError, match="--runs-at-once 0"):
-        in_turns(runs, 0)
+        group_by_shape(runs, 0)
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def train(data, configs, steps: int, states=None):
 
 @pytest.mark.usefixtures("stack")
 def test_together_is_like_alone(data):
-    configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
+    configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]), 64)[0].values())
     states, losses = train(data, configs, 5)
     for index, config in enumerate(configs):
         state, of_run = take_steps(data, first_state(config), config.hyperparameters, config.recipe, 5)
@@ -165,7 +165,7 @@ def test_together_is_like_alone(data):
 
 @pytest.mark.usefixtures("stack")
 def test_runs_together_are_one_program(data):
-    configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]))[0].values())
+    configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]), 64)[0].values())
     train(data, configs, 1)
     before = learn.compiled_count()
     train(data, [dataclasses.replace(config, seed=7, learning_rate=2e-3) for config in configs], 2)
@@ -174,7 +174,7 @@ def test_runs_together_are_one_program(data):
 
 @pytest.mark.usefixtures("stack")
 def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
-    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    configs = list(group_by_shape(grid(seeds=[0, 1]), 64)[0].values())
     whole, _ = train(data, configs, 6)
     half, _ = train(data, configs, 2)
     again, _ = train(data, configs, 4, jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), half))
@@ -197,7 +197,7 @@ def test_a_loss_of_no_weight_makes_no_run_diverge(data):
 
 @pytest.mark.usefixtures("stack")
 def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
-    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    configs = list(group_by_shape(grid(seeds=[0, 1]), 64)[0].values())
     losses = tuple((name, float("nan")) for name, _ in configs[1].losses)
     configs[1] = dataclasses.replace(configs[1], losses=losses)
     states, losses = train(data, configs, 4)

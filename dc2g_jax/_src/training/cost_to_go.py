@@ -109,12 +109,6 @@ class Hyperparameters:
 DrawBatch = Callable[..., Pair]
 
 
-def _learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
-    """`step ->` learning rate: a linear warm-up, then a cosine decay to zero, for a peak of 1."""
-    warmup = min(200, recipe.steps // 10)
-    return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
-
-
 def mean_loss(
     recipe: TrainingConfig,
     loss_weights: Float[Array, "losses"],
@@ -167,7 +161,8 @@ class CostToGoTraining(Supervised):
 
     def learning_rate(self, hyperparameters: Hyperparameters) -> optax.Schedule:
         """A linear warm-up, then a cosine decay to zero."""
-        schedule = _learning_rate_schedule(self.recipe)
+        steps = self.recipe.steps
+        schedule = optax.warmup_cosine_decay_schedule(0.0, 1.0, min(200, steps // 10), steps)
         return lambda step: hyperparameters.learning_rate * schedule(step)
 
     def optimizer(self, hyperparameters: Hyperparameters) -> optax.GradientTransformation:

@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -39,8 +39,6 @@ from dc2g_jax._src.training.train import (
     pairs_to_validate,
     train_runs,
 )
-
-_Run = TypeVar("_Run")
 
 #: A loss by name or as a weighted sum, see `parse_losses`; a function; or a function with a name.
 LossSource = str | Loss | tuple[str, Loss]
@@ -178,31 +176,27 @@ def runs_of_grid(
     return runs
 
 
-def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, TrainingConfig]]:
-    """Group runs whose networks have the same shape, so that they can be trained together.
+def group_by_shape(runs: Mapping[str, TrainingConfig], at_once: int) -> list[dict[str, TrainingConfig]]:
+    """Group runs whose networks have the same shape, so that they can be trained together, at most `at_once` of them.
 
     All runs of a group get the same losses; those that a run does not use have weight 0. Groups are in the order of
     their first runs.
+
+    Raises:
+      InputError: `at_once` is less than 1.
     """
+    check_number("--runs-at-once", at_once, whole=True, least=1)
     names = list(dict.fromkeys(name for config in runs.values() for name, _ in config.losses))
     groups: dict[TrainingConfig, dict[str, TrainingConfig]] = {}
     for run, config in runs.items():
         weights = dict(config.losses)
         whole = dataclasses.replace(config, losses=tuple((name, weights.get(name, 0.0)) for name in names))
         groups.setdefault(whole.recipe, {})[run] = whole
-    return list(groups.values())
-
-
-def in_turns(runs: Mapping[str, _Run], at_once: int) -> list[dict[str, _Run]]:
-    """Split runs, in order, into groups of at most `at_once`.
-
-    Raises:
-      InputError: `at_once` is less than 1.
-    """
-    check_number("--runs-at-once", at_once, whole=True, least=1)
-    names = list(runs)
-    turns = [names[first : first + at_once] for first in range(0, len(names), at_once)]
-    return [{name: runs[name] for name in turn} for turn in turns]
+    return [
+        dict(itertools.islice(group.items(), first, first + at_once))
+        for group in groups.values()
+        for first in range(0, len(group), at_once)
+    ]
 
 
 def sweep(
@@ -270,7 +264,7 @@ def sweep(
         widths=widths or (config.architecture.widths,),
         seeds=seeds,
     )
-    grouped = [turn for group in group_by_shape(runs) for turn in in_turns(group, runs_at_once)]
+    grouped = group_by_shape(runs, runs_at_once)
     plan = checked(
         dataset, {run: one for turn in grouped for run, one in turn.items()}, data=data, pauses=pauses, split=split,
         track=track, validated=True, own_losses=own_losses, at_once=runs_at_once,
@@ -280,13 +274,15 @@ def sweep(
         begin()
     opened = functools.cache(lambda: (pairs_to_validate(plan), open_training_set(out, plan.dataset, plan.data)))
     networks: dict[str, NetworkCostToGo] = {}
+
+    def validate(network: NetworkCostToGo, step: int) -> dict[str, float]:
+        return {"error": error_on(opened()[0], network)}
+
     for turn in turns:
         found: Sequence[NetworkCostToGo | None] = [finished_network(out, turn, run) for run in turn.runs]
         if None in found:
-            pairs, training_set = opened()
-            validate = functools.partial(_error_now, pairs)
             found = train_runs(
-                out, turn, training_set, validate, card=card or {}, pauses=pauses, track=track, picture=picture,
+                out, turn, opened()[1], validate, card=card or {}, pauses=pauses, track=track, picture=picture,
                 name=f"{len(turn.runs)} runs",
             )  # fmt: skip
         networks |= {run: network for run, network in zip(turn.runs, found, strict=True) if network is not None}
@@ -295,10 +291,6 @@ def sweep(
     rows = sorted(result.table, key=lambda row: (row["steps_left_out"] > 0, _quality(row)))
     write_table(out / "results.csv", list(rows[0]), (list(row.values()) for row in rows))
     return result
-
-
-def _error_now(pairs: Any, network: NetworkCostToGo, step: int) -> dict[str, float]:
-    return {"error": error_on(pairs, network)}
 
 
 def _episodes(
