@@ -10,9 +10,7 @@ import numpy as np
 from dc2g_jax._src.files.rows import write_rows
 from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS
-from dc2g_jax._src.planning.planners import MODE_NAMES, Mode
-from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.planning.planners import Mode
 from dc2g_jax._src.rollouts.rollout import Trajectories
 from dc2g_jax._src.rollouts.statistics import extra_steps, summarize
 from dc2g_jax._src.runtime.errors import check_name, short
@@ -76,21 +74,6 @@ class EpisodeResult(NamedTuple):
 def action_letters(trajectories: Trajectories, episode: int) -> str:
     """The actions of one episode as letters F, L, R."""
     return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
-
-
-def rows_of(
-    name: str, starts: Sequence[Start], rules: Rules, done: Trajectories, oracle_steps: np.ndarray
-) -> list[EpisodeResult]:
-    """Results of one planner's rollout, in the order of the starts."""
-    return [
-        EpisodeResult(
-            *start[:4], rules.sensing.radius, rules.expanding_range, name, bool(done.success[row]), steps, shortest,
-            extra_steps(steps, shortest), MODE_NAMES[done.mode[row]], action_letters(done, row),
-        )
-        for row, (start, steps, shortest) in enumerate(
-            zip(starts, done.steps.tolist(), oracle_steps.tolist(), strict=True)
-        )
-    ]  # fmt: skip
 
 
 class Results(tuple[EpisodeResult, ...]):

@@ -182,7 +182,6 @@ def _advance(
 
 
 def _record(state: _State) -> _State:
-    """Store the results of the finished episodes."""
     slots, results = state.slots, state.results
     row = jnp.where(slots.finished, slots.episode, len(results.steps))
     return dataclasses.replace(
@@ -335,7 +334,6 @@ def _first_states(
 
 
 def _default_slots(planner: PlannerLike, worlds: World, platform: str) -> int:
-    """The default number of slots of a device."""
     if platform != "cpu":
         n_words, height = worlds.goals.shape[:2]
         return max(1, 1 << (_ACCELERATOR_WORDS // (n_words * height)).bit_length() >> 1)

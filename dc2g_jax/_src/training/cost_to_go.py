@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax._src.runtime.errors import check_number, check_seed
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.losses import LOSSES, Loss, map_loss, named_loss
 from dc2g_jax._src.training.pairs import Pair
@@ -67,7 +67,7 @@ class TrainingConfig:
         check_number("learning rate", float(np.float32(self.learning_rate)), above=0)
         check_number("steps", self.steps, whole=True, least=1)
         check_number("batch size", self.batch_size, whole=True, least=1)
-        check_number("seed", self.seed, whole=True, least=0, most=2**32 - 1)
+        check_seed(self.seed)
 
     @property
     def parts(self) -> int:

@@ -138,7 +138,6 @@ def _together(runs: list[Any], mesh: Mesh) -> list[Any]:
 
 
 def _each_run(states: Sequence[Any], part: Callable[[Any], Any] = lambda state: state) -> list[Any]:
-    """A part of the state of each run."""
     if not states[0].step.ndim:
         return [first_copy(part(state)) for state in states]
     whole = jax.tree.map(fetch, part(states[0]))

@@ -97,13 +97,11 @@ class _Guess(Estimator):
     informed: Bool[Array, ""]
 
     def init(self, world: World) -> Float[Array, "h w *batch"]:
-        """The cost-to-go of the whole map."""
         return world_cost_to_go(world)
 
     def estimate(
         self, terrain: UInt8[Array, "h w *batch"], state: Float[Array, "h w *batch"]
     ) -> Float[Array, "1 h w *batch"]:
-        """The values of the whole map."""
         costs = ExactCostToGo(self.log_error).estimate(terrain, state)
         return jnp.where(self.informed, costs, 0.0)
 
@@ -132,19 +130,15 @@ class _Leader(Planner):
         return belief_of(belief, belief.pose, belief.steps, seen), planner_state
 
     def init(self, world: World) -> tuple[Board, Any]:
-        """Nothing has been seen."""
         return jnp.zeros_like(world.traversable), self._planner.init(world)
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
-        """As `DC2G` does."""
         return self._planner.look(*self._own(belief, state))
 
     def ask(self, belief: Belief, state: Any) -> Float[Array, "h w *batch"]:
-        """As `DC2G` does."""
         return self._planner.ask(*self._own(belief, state))
 
     def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
-        """As `DC2G` does."""
         own, planner_state = self._own(belief, state)
         assessment, planner_state = self._planner.conclude(own, planner_state, looked, lambda *_: ask(belief, state))
         return assessment, (own.seen, planner_state)

@@ -40,11 +40,8 @@ from dc2g_jax._src.training.train import (
     train_runs,
 )
 
-#: A loss by name or as a weighted sum, see `parse_losses`; a function; or a function with a name.
-LossSource = str | Loss | tuple[str, Loss]
-
-#: Several of them; or functions and sums by name.
-LossSources = Iterable[LossSource] | Mapping[str, str | Loss]
+#: Losses by name or as weighted sums, see `parse_losses`; functions, perhaps with names; or functions and sums by name.
+LossSources = Iterable[str | Loss | tuple[str, Loss]] | Mapping[str, str | Loss]
 
 #: A sweep by default: a short training of each run.
 SWEEP = TrainingConfig(steps=2000)
