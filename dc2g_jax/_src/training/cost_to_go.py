@@ -137,7 +137,7 @@ class CostToGoTraining(Supervised):
     Attributes:
       recipe: static part of the configuration, the same for all runs.
       draw_batch: draws pairs.
-      own_losses: names and functions of losses that only this program knows.
+      own_losses: names and functions of losses, for those that only this program knows.
     """
 
     recipe: TrainingConfig

@@ -279,9 +279,8 @@ def sweep(
         found: Sequence[NetworkCostToGo | None] = [finished_network(out, turn, run) for run in turn.runs]
         if None in found:
             found = train_runs(
-                out, turn, opened()[1], validate, card=card or {}, pauses=pauses, track=track, picture=picture,
-                name=f"{len(turn.runs)} runs",
-            )  # fmt: skip
+                out, turn, opened()[1], validate, card=card or {}, picture=picture, name=f"{len(turn.runs)} runs"
+            )
         networks |= {run: network for run, network in zip(turn.runs, found, strict=True) if network is not None}
     extra = {} if split is None else _episodes(out, plan.dataset, split, networks)
     result = _result(out, plan, networks, extra)

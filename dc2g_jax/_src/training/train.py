@@ -60,28 +60,30 @@ class Plan(NamedTuple):
       dataset: the houses.
       runs: the configuration of each run by its name, for maps of the dataset's size.
       data: houses and masks.
-      own_losses: losses that only this program knows, by their names in the configurations.
+      losses: losses by their names in the configurations.
+      pauses: when to validate and to save.
+      track: tracker to send the curves to.
       after: place of the network that the runs begin with.
     """
 
     dataset: HouseDataset
     runs: Mapping[str, TrainingConfig]
     data: DataConfig
-    own_losses: Mapping[str, Loss]
+    losses: Mapping[str, Loss]
+    pauses: Pauses
+    track: TrackerName | None
     after: str | None = None
 
     @property
     def facts(self) -> dict[str, Any]:
         """What must be the same to resume the runs, beside their configurations."""
-        own = {
-            name: self.own_losses.get(name) or named_loss(name) for name, _ in self.recipe.losses if name not in LOSSES
-        }
+        own = {name: loss_sha256(loss) for name, loss in self.losses.items() if name not in LOSSES}
         return {
             "data": dataclasses.asdict(self.data),
             "after": self.after,
             "dataset": self.dataset.name,
             "parts": self.recipe.parts,
-            **({"losses_sha256": {name: loss_sha256(loss) for name, loss in own.items()}} if own else {}),
+            **({"losses_sha256": own} if own else {}),
         }
 
     @property
@@ -111,14 +113,12 @@ def checked(
     Raises:
       InputError: something is invalid.
     """
-    own_losses = own_losses or {}
     pauses.check_pauses()
     check_tracker(track)
     if split is not None:
         check_name("split", split, ("train", "val", "test"))
-    for name in dict.fromkeys(name for config in runs.values() for name, _ in config.losses):
-        if name not in own_losses:
-            named_loss(name)
+    names = dict.fromkeys(name for config in runs.values() for name, _ in config.losses)
+    losses = {name: (own_losses or {}).get(name) or named_loss(name) for name in names}
     if not isinstance(dataset, HouseDataset):
         dataset = open_dataset(dataset)
     shape = dataset.houses[0].terrain.shape
@@ -135,7 +135,7 @@ def checked(
     check_houses(dataset, extra=data.extra_houses or 0, drawn=drawn, validated=validated)
     if split is not None:
         usable_houses(dataset, split, instead="use another split")
-    return Plan(dataset, sized, data, own_losses)
+    return Plan(dataset, sized, data, losses, pauses, track)
 
 
 def train_runs(
@@ -145,8 +145,6 @@ def train_runs(
     validate: Callable[[NetworkCostToGo, int], Mapping[str, Any]],
     *,
     card: Mapping[str, Any],
-    pauses: Pauses,
-    track: TrackerName | None,
     picture: Picture | None,
     **options: Any,
 ) -> list[NetworkCostToGo]:
@@ -175,7 +173,7 @@ def train_runs(
         save_network(folder / "network", network_of(weights), {**made, **card, **figures})
 
     task = Task(
-        training=CostToGoTraining(recipe, plan.data.draw_batch, tuple(plan.own_losses.items())),
+        training=CostToGoTraining(recipe, plan.data.draw_batch, tuple(plan.losses.items())),
         data=data,
         runs=plan.runs,
         steps=recipe.steps,
@@ -185,7 +183,7 @@ def train_runs(
         picture=None if picture is None else lambda weights: picture(network_of(weights)),
         **options,
     )
-    return [network_of(weights) for weights in fit(task, out, pauses, track)]
+    return [network_of(weights) for weights in fit(task, out, plan.pauses, plan.track)]
 
 
 def pairs_to_validate(plan: Plan) -> Any:
@@ -309,7 +307,7 @@ def train(
 
         (network,) = train_runs(
             out, plan, open_training_set(out, dataset, plan.data, begin_with), validate,
-            card=card or {}, pauses=pauses, track=track, picture=picture,
+            card=card or {}, picture=picture,
             recording=recording() if recording is not None and newest_step(out) < config.steps else None,
             begin_with=None if begin_with is None else begin_with.weights,
         )  # fmt: skip
