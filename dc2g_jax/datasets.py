@@ -18,7 +18,6 @@ from dc2g_jax._src.readers.maps import (
     sampled as sampled,
 )
 from dc2g_jax._src.readers.starts import (
-    PublishedEpisode as PublishedEpisode,
     Start as Start,
     check_starts as check_starts,
     published_episodes as published_episodes,

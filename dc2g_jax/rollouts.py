@@ -7,6 +7,6 @@ from dc2g_jax._src.rollouts.results import (
     Results as Results,
     action_letters as action_letters,
 )
-from dc2g_jax._src.rollouts.rollout import Episodes as Episodes, rollout as rollout
+from dc2g_jax._src.rollouts.rollout import rollout as rollout
 from dc2g_jax._src.rollouts.statistics import Mean as Mean, house_bootstrap as house_bootstrap
 from dc2g_jax._src.runtime.devices import use_cores as use_cores

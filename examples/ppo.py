@@ -357,7 +357,7 @@ def compare(options: Options, rules: Rules, weights: Any) -> list[tuple[str, flo
         ("untrained", RecurrentPolicy(rules, weights=untrained)), ("PPO", RecurrentPolicy(rules, weights=weights)),
         ("frontier", Frontier(rules)), ("oracle", Oracle()),
     ):  # fmt: skip
-        done = rollout(planner, stack_worlds(houses), episodes, sensing=rules.sensing, step_limit=options.step_limit)
+        done = rollout(planner, stack_worlds(houses), *episodes, sensing=rules.sensing, step_limit=options.step_limit)
         rows.append((name, float(np.exp(np.mean(np.log(done.steps)))), float(np.mean(done.success))))
     return rows
 

@@ -80,7 +80,7 @@ def main(options: Options) -> None:
         grid = EpisodeTable(out / f"gridworld_{settings}.csv").run(runner, starts, ["dc2g"], networks["clean"])
         summary = Results(grid).summary()["dc2g"]
         results[f"gridworld, {settings}"] = {
-            "extra": summary.mean_extra, "median_extra": summary.median_extra, "success": summary.success,
+            "extra": summary["mean_extra"], "median_extra": summary["median_extra"], "success": summary["success"],
         }  # fmt: skip
     (out / "drives").mkdir(exist_ok=True)
 

@@ -22,7 +22,6 @@ from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.runtime.devices import mesh_of, platform, require_memory
 from dc2g_jax._src.runtime.errors import InputError, check_number, check_seed
 from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
-from dc2g_jax._src.training.sweeps import in_turns
 from dc2g_jax._src.training.tracking import TrackerName, run_folder
 from experiments.support.commands import number_or_null
 from experiments.translator.evaluation import metrics_over_pairs
@@ -213,9 +212,8 @@ def main(options: Options) -> None:
         f"validating on {len(data.validation.pair_house)}"
     )
     # Runs together are one program. Cores of a CPU are busy with one run.
-    at_once = 1 if platform(mesh_of()) == "cpu" else len(options.seeds)
     for loss, seeds in runs.items():
-        for turn in in_turns(seeds, at_once):
+        for turn in [{run: seed} for run, seed in seeds.items()] if platform(mesh_of()) == "cpu" else [seeds]:
             train_translators(options.out, turn, dataset, data, configs[loss], options, track=options.track)
     logs = {loss: [Log(options.out).by_step(run) for run in seeds] for loss, seeds in runs.items()}
     caption = (

@@ -29,7 +29,6 @@ from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, ope
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
-from dc2g_jax._src.rollouts.statistics import Summary
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.viewer.recording import record_frames
@@ -65,7 +64,7 @@ _RECORDED = 3
 _PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
 #: Number of summary columns for a single house, which has no interval over houses.
-_OF_A_HOUSE = Summary._fields.index("mean_low")
+_OF_A_HOUSE = 6
 
 
 def drawn(planners: Sequence[str]) -> list[str]:
@@ -100,8 +99,8 @@ def table_text(title: str, table: Table, groups: tuple[str, ...]) -> str:
     rows = [
         (
             planner,
-            *(f"{row[group].mean_extra:.1f} ({row[group].median_extra:.1f})" for group in present),
-            f"{100 * row[groups[-1]].success:.1f} %",
+            *(f"{row[group]['mean_extra']:.1f} ({row[group]['median_extra']:.1f})" for group in present),
+            f"{100 * row[groups[-1]]['success']:.1f} %",
         )
         for planner, row in table.items()
         if planner != "oracle"
@@ -116,21 +115,22 @@ def _write_tables(
     groups: Mapping[str, Mapping[str, str]],
 ) -> None:
     """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
+    names = list(next(summary for table in tables.values() for row in table.values() for summary in row.values()))
     summaries = [
-        (settings, planner, group, *(round(value, 4) for value in summary))
+        (settings, planner, group, *(round(value, 4) for value in summary.values()))
         for settings, table in tables.items()
         for planner, row in table.items()
         for group, summary in row.items()
     ]
-    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), summaries)
+    write_table(out / "summary.csv", ("settings", "planner", "group", *names), summaries)
     rows = []
     for settings, episodes in entries.items():
         houses = dict.fromkeys(one.house for one in episodes)
         for planner, row in tabulate(episodes, (*houses, "all"), {house: house for house in houses}).items():
             for house in houses:
-                values = (round(value, 4) for value in row[house][:_OF_A_HOUSE])
+                values = (round(value, 4) for value in [*row[house].values()][:_OF_A_HOUSE])
                 rows.append((settings, planner, house, groups[settings][house], *values))
-    columns = ("settings", "planner", "house", "group", *Summary._fields[:_OF_A_HOUSE])
+    columns = ("settings", "planner", "house", "group", *names[:_OF_A_HOUSE])
     write_table(out / "houses.csv", columns, rows)
 
 
@@ -138,7 +138,7 @@ def _as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
     """The columns of a table that `results.json` holds."""
     keys = ("mean_extra", "mean_low", "mean_high", "median_extra", "success", "episodes")
     return {
-        planner: {group: {key: getattr(summary, key) for key in keys} for group, summary in row.items()}
+        planner: {group: {key: summary[key] for key in keys} for group, summary in row.items()}
         for planner, row in table.items()
     }
 

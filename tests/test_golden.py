@@ -112,7 +112,7 @@ def test_the_sample_is_that_of_what_was_recorded(shared):
 def published_steps(published_dataset) -> dict[str, np.ndarray]:
     """Our step counts on the authors' 400 starts, planner by planner."""
     runner = Runner(published_dataset, SETTINGS["published"])
-    starts = [episode.start for episode in published_episodes()]
+    starts = [start for start, *_ in published_episodes()]
     results = runner.run(starts, ["oracle", "frontier", "true_cost_to_go"])
     assert all(result.success for result in results if result.planner != "frontier")
     assert all((result.range, result.expanding_range) == (5, 4) for result in results)
@@ -124,8 +124,7 @@ def published_steps(published_dataset) -> dict[str, np.ndarray]:
 @pytest.mark.slow
 def test_published_step_counts_of_frontier_and_oracle(published_steps):
     episodes = published_episodes()
-    frontier = np.array([episode.frontier for episode in episodes])
-    oracle = np.array([episode.oracle for episode in episodes])
+    frontier, oracle = np.array([(of["frontier"], of["oracle"]) for _, _, of in episodes]).T
     assert len(episodes) == 400
     assert np.sum(published_steps["frontier"] == frontier) >= 388
     assert np.sum(published_steps["oracle"] == oracle) >= 392
@@ -143,7 +142,7 @@ def test_exact_cost_to_go_over_eight_neighbors(published_dataset, published_step
     """The paper's 8-connected cost misjudges what a robot that moves in four directions can do, but not by much."""
     settings = SETTINGS["published"]
     planner = DC2G(ExactCostToGo(moves=EIGHT_CONNECTED), settings.rules())
-    starts = [episode.start for episode in published_episodes()]
+    starts = [start for start, *_ in published_episodes()]
     trajectories = Runner(published_dataset, settings).trajectories(planner, settings.rules(), starts)
     extra = 100 * (trajectories.steps / published_steps["oracle"] - 1)
     assert np.mean(published_steps["true_cost_to_go"]) < np.mean(trajectories.steps)
@@ -151,16 +150,15 @@ def test_exact_cost_to_go_over_eight_neighbors(published_dataset, published_step
 
 
 def test_the_headline_figures_follow_from_the_published_step_counts():
-    episodes = published_episodes()
-    dc2g = np.array([extra_steps(episode.dc2g, episode.oracle) for episode in episodes])
-    frontier = np.array([extra_steps(episode.frontier, episode.oracle) for episode in episodes])
-    ratio = np.array([100 * (episode.frontier / episode.dc2g - 1) for episode in episodes])
+    steps = [of for _, _, of in published_episodes()]
+    dc2g, frontier = (np.array([extra_steps(of[name], of["oracle"]) for of in steps]) for name in ("dc2g", "frontier"))
+    ratio = np.array([100 * (of["frontier"] / of["dc2g"] - 1) for of in steps])
     assert np.mean(dc2g) == pytest.approx(63.5, abs=0.05)
     assert np.median(dc2g) == pytest.approx(32.4, abs=0.05)
     assert np.mean(frontier) == pytest.approx(314.9, abs=0.05)
     assert np.mean(ratio) == pytest.approx(189.8, abs=0.05)
 
-    groups = np.array([episode.group for episode in episodes])
+    groups = np.array([group for _, group, _ in published_episodes()])
     by_group = {group: np.mean(dc2g[groups == group]) for group in dict.fromkeys(groups.tolist())}
     wanted = {"train": 59.3, "same_neighborhood": 56.1, "new_neighborhood": 54.3, "urban": 84.5}
     assert by_group == pytest.approx(wanted, abs=0.05)

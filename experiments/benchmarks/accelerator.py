@@ -73,10 +73,10 @@ def _compared(bench: Bench, row: Row, workload: Workload, planner: str, reach: i
     is 52 bits of the SHA-256 of all actions here.
     """
     run = functools.partial(rollout, bench.planner(planner, reach), workload.worlds, sensing=bench.rules(reach).sensing)
-    measured = _once(lambda: run(workload.episodes))
+    measured = _once(lambda: run(*workload.episodes))
     every = 10 if planner == "dc2g" else 1
     some = jax.tree.map(lambda leaf: leaf[::every], workload.episodes)
-    here, there = measured.output.actions[::every], run(some, devices=jax.devices("cpu")).actions
+    here, there = measured.output.actions[::every], run(*some, devices=jax.devices("cpu")).actions
     equal = float(np.mean(np.all(here == there, axis=1)))
     agreement = {"equal episodes": equal} if planner == "dc2g" else {"same actions": float(equal == 1)}
     row = with_episodes(row, measured)
@@ -92,7 +92,7 @@ def _golden(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     """The published episodes if the houses are the published ones, otherwise sampled episodes; compared with a CPU."""
     what, workload, reach = "", bench.workload, SENSING_RANGE
     if _is_published(bench, dataset):
-        starts = tuple(episode.start for episode in published_episodes())
+        starts = tuple(start for start, *_ in published_episodes())
         houses = tuple(dataset.house(name) for name in dict.fromkeys(start.house for start in starts))
         what, workload, reach = ", published starts", Workload(dataset.name, houses, starts), 5
     for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
@@ -114,7 +114,7 @@ def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     """All episodes of Fig. 7 with all its planners, from starts to results, without figures and files."""
     planners = ("oracle",) if bench.quick else FIGURE_PLANNERS
     if _is_published(bench, dataset):
-        settings, starts = "published", [episode.start for episode in published_episodes()]
+        settings, starts = "published", [start for start, *_ in published_episodes()]
     else:
         settings, starts = "paper", sample_starts(dataset.split("test")[: 2 if bench.quick else None], 10, seed=0)
     row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")

@@ -17,7 +17,7 @@ from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
-from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 from dc2g_jax._src.runtime.devices import AXIS, RUNS
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
@@ -91,7 +91,7 @@ def rollout_loop(
     worlds = jax.eval_shape(World.from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
     each, static = _array(mesh.size, robots), {"mesh": mesh, "sensing": rules.sensing}
     first = functools.partial(rollout._first_states, n_slots=robots, kept_steps=STEP_LIMIT, **static)
-    queues, states = jax.eval_shape(first, planner, worlds, Episodes(each, Pose(each, each, each)), _array(mesh.size))
+    queues, states = jax.eval_shape(first, planner, worlds, each, Pose(each, each, each), _array(mesh.size))
     return HotProgram(
         rollout._run,
         arguments=(states, _array(), queues, planner),

@@ -64,7 +64,7 @@ def own_episodes(
         rollout,
         bench.planner(planner, sensing_range),
         workload.worlds,
-        workload.episodes,
+        *workload.episodes,
         sensing=bench.rules(sensing_range).sensing,
         step_limit=step_limit,
         slots=slots,
@@ -148,7 +148,7 @@ def _with_network_pace(bench: Bench, row: Row) -> Row:
     counting = _Counting(bench.network, lambda count: maps.append(int(count)))
     planner = planner_with("dc2g", bench.rules(), counting)
     workload = bench.workload
-    done = rollout(planner, workload.worlds, workload.episodes, sensing=bench.rules().sensing, keep_actions=False)
+    done = rollout(planner, workload.worlds, *workload.episodes, sensing=bench.rules().sensing, keep_actions=False)
     jax.effects_barrier()
     maps_a_step = sum(maps) / float(np.sum(done.steps))
     pace = (network_pace_row(bench).rate or 0.0) / maps_a_step

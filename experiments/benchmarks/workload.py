@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
+from jaxtyping import Int
 
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
@@ -19,7 +20,6 @@ from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import episodes_from
-from dc2g_jax._src.rollouts.rollout import Episodes
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import jit
 
@@ -54,8 +54,8 @@ class Workload:
         return stack_worlds(self.houses)
 
     @functools.cached_property
-    def episodes(self) -> Episodes:
-        """All episodes."""
+    def episodes(self) -> tuple[Int[jax.Array, "episodes"], Pose]:
+        """Index of the house and first pose of all episodes."""
         return episodes_from(self.starts, {house.name: number for number, house in enumerate(self.houses)})
 
     @property
@@ -65,10 +65,10 @@ class Workload:
 
     def problem(self, *, sensing_range: int, step_limit: int, every: int = 1) -> Problem:
         """The same episodes for the plain programs, rules `reference`; or every n-th of them."""
-        pose = self.episodes.start
+        index, pose = self.episodes
         return make_problem(
             self.terrain,
-            np.asarray(self.episodes.world)[::every],
+            np.asarray(index)[::every],
             np.stack([pose.x, pose.y, pose.heading], axis=-1)[::every],
             sensing_range=sensing_range,
             step_limit=step_limit,
@@ -168,9 +168,8 @@ def active_robots(workload: Workload, leader: Planner, sensing: Kernel, count: i
     rng = np.random.default_rng(0)
     starts = np.arange(count) % len(workload.starts)
     moments = jnp.asarray(rng.integers(_MOST_ACTIONS, size=count), jnp.int32)
-    world_index = workload.episodes.world[starts]
+    world_index, pose = jax.tree.map(lambda leaf: leaf[starts], workload.episodes)
     world = jax.tree.map(lambda leaf: leaf[..., world_index], workload.worlds)
-    pose: Pose = jax.tree.map(lambda leaf: leaf[starts], workload.episodes.start)
 
     @jit
     def run(world: World, pose: Pose, moments: jax.Array) -> Robots:

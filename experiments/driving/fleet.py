@@ -16,7 +16,6 @@ from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
 from dc2g_jax.robot.mapping.camera import Frame
 from dc2g_jax.robot.mapping.scene import scene_from_terrain
 from dc2g_jax.robot.mapping.simulator import picture
-from dc2g_jax.rollouts import Episodes
 from dc2g_jax.runtime import InputError, jit
 from experiments.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
 
@@ -61,7 +60,8 @@ def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
 def drive_all(
     equipment: Equipment,
     sites: Site,
-    episodes: Episodes,
+    index: Int[Array, "episodes"],
+    start: Pose,
     *,
     seed: int = 0,
     pedestrians: int = 0,
@@ -74,17 +74,18 @@ def drive_all(
     Args:
       equipment: components of the robots.
       sites: houses, stacked along the first axis.
-      episodes: index of the house and first pose of each episode, at least one.
+      index: index of the house of each episode, of one at least.
+      start: first pose of each episode.
       seed: seed of noise and pedestrians.
       pedestrians: number of pedestrians in each episode.
       knows_map: whether the robots know the map beforehand.
       time_limit: seconds after which an episode ends without success.
       on_progress: called now and then with the number of episodes that have ended.
     """
-    own = episodes.start, np.full(len(episodes), knows_map)
+    own = start, np.full(len(index), knows_map)
     status, *periods = run_all(
         reset, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
-        own, episodes.world, sites, equipment, seed=seed, number=pedestrians,
+        own, index, sites, equipment, seed=seed, number=pedestrians,
         limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS, on_progress=on_progress,
     )  # fmt: skip
     seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)

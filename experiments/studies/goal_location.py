@@ -7,7 +7,7 @@ goal cell, and the goal's place on the map. Algorithm 2 then goes by each of the
 import dataclasses
 import functools
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -36,7 +36,7 @@ from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, drawn_houses, validation_pairs
 from dc2g_jax._src.training.loop import Pauses
-from dc2g_jax._src.training.pairs import Pair
+from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.train import train
 
 from .unknown_dimensions import SEEDS
@@ -86,18 +86,11 @@ class LabeledData(DataConfig):
 
     label: str = "cost_to_go"
 
-    @property
-    def draw_batch(self) -> Any:
+    def draw_batch(self, key: Array, data: TrainingSet, *, batch_size: int) -> Pair:
         """Draws the pairs of a step."""
-        return {
-            "cost_to_go": super().draw_batch,
-            "distance": functools.partial(_drawn, super().draw_batch, to_distance),
-            "place": functools.partial(_drawn, super().draw_batch, to_place),
-        }[self.label]
-
-
-def _drawn(draw: Any, change: Any, *args: Any, **options: Any) -> Pair:
-    return change(draw(*args, **options))
+        pairs = super().draw_batch(key, data, batch_size=batch_size)
+        change: Callable[[Pair], Pair] = {"distance": to_distance, "place": to_place}.get(self.label, lambda same: same)
+        return change(pairs)
 
 
 @struct.dataclass
@@ -263,7 +256,7 @@ def main(options: Options) -> None:
                 data=LabeledData(extra_houses=options.extra_houses, label=label),
                 pauses=Pauses(validate_every=0, minutes_per_checkpoint=1.0),
                 split=None,
-                recording=curve,
+                recording=functools.partial(lambda one: one, curve),
             ).network
             if not masks.exists():
                 shutil.copyfile(folder / masks.name, masks)
@@ -284,7 +277,7 @@ def main(options: Options) -> None:
         names = {house.name for house in houses}
         some = Results(one for one in results if one.house in names)
         print(f"\n{group}: starts in {len(houses)} validation houses\n{some}")
-        facts[group] = {name: row._asdict() for name, row in some.summary().items()}
+        facts[group] = dict(some.summary())
         gains = {label: _gain(some, label, options.seeds) for label in LABELS[1:]}
         facts[group]["less cost_to_go"] = gains
         print(gains, flush=True)

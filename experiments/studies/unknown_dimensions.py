@@ -139,7 +139,7 @@ def main(options: Options) -> None:
         taken = milliseconds(estimators, houses[0])
         summaries = Results(results).summary()
         facts[name] = {
-            planner: {**summary._asdict(), "milliseconds": taken.get(planner)} for planner, summary in summaries.items()
+            planner: {**summary, "milliseconds": taken.get(planner)} for planner, summary in summaries.items()
         }
         print(as_text(summaries))
         print(f"milliseconds of an estimate: {taken}", flush=True)

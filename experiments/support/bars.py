@@ -34,15 +34,15 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
     """Draw grouped bars of the mean with its interval, and a line at the median. Below each bar is its mean."""
     planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
-    means = [table[planner][group].mean_extra for planner in planners for group in groups]
+    means = [table[planner][group]["mean_extra"] for planner in planners for group in groups]
     longest = max(len(_rounded(mean)) for mean in means)
     upright = 0.9 * 72 * PAGE_WIDTH * width / len(groups) < 4.7 * longest  # too wide to be side by side
     for place, planner in enumerate(planners):
         _, color, hatch, _ = styles[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         rows = [table[planner][group] for group in groups]
-        mean, median = [row.mean_extra for row in rows], [row.median_extra for row in rows]
-        low, high = np.array([(row.mean_low, row.mean_high) for row in rows]).T
+        names = ("mean_extra", "median_extra", "mean_low", "mean_high")
+        mean, median, low, high = ([row[name] for row in rows] for name in names)
         axes.bar(x, mean, width * 0.92, color=color, hatch=hatch, edgecolor="#333333", linewidth=0.5)
         axes.vlines(x, low, high, color="white", linewidth=2.2)
         axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)

@@ -125,7 +125,7 @@ def drive(
     sites = sites_of([house.terrain for house in houses])
     progress = EpisodeProgress()
     drives = drive_all(
-        robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
+        robot, sites, *episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
         time_limit=SECONDS_LIMIT, on_progress=lambda ended: progress(name, ended, len(starts)),
     )  # fmt: skip
     times = np.round([drives.seconds, drives.off_ground, drives.touched], 2).T.tolist()

@@ -10,7 +10,7 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.readers.starts import PublishedEpisode, published_episodes
+from dc2g_jax._src.readers.starts import Start, published_episodes
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
@@ -59,7 +59,7 @@ class EpisodePair(NamedTuple):
 
 def group_by_house() -> dict[str, str]:
     """The group of each house with a published episode. Validation houses are among `train`."""
-    return {one.start.house: one.group for one in published_episodes()}
+    return {start.house: group for start, group, _ in published_episodes()}
 
 
 def run_published(
@@ -67,7 +67,7 @@ def run_published(
 ) -> list[EpisodeResult]:
     """Results of the paper's 400 episodes, planner by planner."""
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    return table.run(runner, [episode.start for episode in published_episodes()], planners, network)
+    return table.run(runner, [start for start, *_ in published_episodes()], planners, network)
 
 
 def authors_results() -> list[EpisodeResult]:
@@ -75,16 +75,19 @@ def authors_results() -> list[EpisodeResult]:
     ranges = SETTINGS["published"].rules()
     return [
         EpisodeResult(
-            *episode.start[:4], ranges.sensing.radius, ranges.expanding_range, planner, steps < STEP_LIMIT, steps,
-            episode.oracle, extra_steps(steps, episode.oracle), "to_goal" if steps < STEP_LIMIT else "explore",
+            *start[:4], ranges.sensing.radius, ranges.expanding_range, f"authors_{planner}", of[planner] < STEP_LIMIT,
+            of[planner], of["oracle"], extra_steps(of[planner], of["oracle"]),
+            "to_goal" if of[planner] < STEP_LIMIT else "explore",
         )
-        for episode in published_episodes()
-        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g))
+        for start, _, of in published_episodes()
+        for planner in ("frontier", "dc2g")
     ]  # fmt: skip
 
 
 def pair_up(
-    published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
+    published: Sequence[tuple[Start, str, dict[str, int]]],
+    frontier: Sequence[EpisodeResult],
+    dc2g: Sequence[EpisodeResult],
 ) -> list[EpisodePair]:
     """Pair our results with the authors', in the order of the published episodes."""
 
@@ -93,22 +96,19 @@ def pair_up(
 
     return [
         EpisodePair(
-            house=theirs.start.house,
-            x=theirs.start.x,
-            y=theirs.start.y,
-            heading=theirs.start.heading,
-            group=theirs.group,
+            *start[:4],
+            group,
             oracle=ours.oracle_steps,
-            authors_oracle=theirs.oracle,
+            authors_oracle=theirs["oracle"],
             frontier=steps(blind),
-            authors_frontier=theirs.frontier,
+            authors_frontier=theirs["frontier"],
             dc2g=steps(ours),
-            authors_dc2g=theirs.dc2g,
+            authors_dc2g=theirs["dc2g"],
             reached=ours.success,
             extra=extra_steps(steps(ours), ours.oracle_steps),
-            authors_extra=extra_steps(theirs.dc2g, theirs.oracle),
+            authors_extra=extra_steps(theirs["dc2g"], theirs["oracle"]),
         )
-        for theirs, blind, ours in zip(published, frontier, dc2g, strict=True)
+        for (start, group, theirs), blind, ours in zip(published, frontier, dc2g, strict=True)
     ]
 
 

@@ -164,7 +164,7 @@ def _rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Mas
     planners = leading_planners(view, *houses[0].terrain.shape, seed=seed)
     episodes = episodes_from(starts, index)
     collect = partial(collect_masks, sensing=rules.sensing, per_episode=_MOMENTS, seed=seed)
-    masks = by_house([collect(planner, worlds, episodes) for planner in planners])
+    masks = by_house([collect(planner, worlds, *episodes) for planner in planners])
     rng = np.random.default_rng(seed)
     chosen = []
     for number in np.unique(masks.world):

@@ -117,7 +117,7 @@ def test_a_robot_that_only_drives_forward_stays_on_ground():
 def test_the_oracle_s_actions_end_the_episode_when_the_rollout_says():
     starts = sample_starts(HOUSES, 4, seed=3)
     episodes = episodes_from(starts, {"street": 0, "yard": 1})
-    planned = rollout(Oracle(), stack_worlds(HOUSES), episodes, sensing=field_of_view(RANGE), step_limit=LIMIT)
+    planned = rollout(Oracle(), stack_worlds(HOUSES), *episodes, sensing=field_of_view(RANGE), step_limit=LIMIT)
     assert np.all(planned.success)
     for number, one in enumerate(starts):
         _, state = begin(("street", "yard").index(one.house), one.x, one.y, one.heading)

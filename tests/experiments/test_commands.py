@@ -365,7 +365,7 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     write_safetensors(out / "masks.safetensors", masks | {"boards": masks["boards"][:, :, 1:]})
     other = complaint(run(*options, "--resume"))
     assert "masks.safetensors" in other
-    assert "uint32[2, 49]" in other
+    assert "of 50 x 50 cells" in other
     (out / "card").rename(out / "network" / "network.json")
     result = run(
         "reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--network", out / "network",

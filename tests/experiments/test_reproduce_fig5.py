@@ -12,7 +12,7 @@ import pytest
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.runtime.errors import InputError
-from dc2g_jax._src.training import loop, step
+from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Log
 from experiments import reproduce_fig4, reproduce_fig5
 from experiments.reproduce_fig5 import TranslationOptions, train_translators, translation_data
@@ -159,7 +159,7 @@ def test_runs_trained_together_are_those_trained_alone(dataset, tmp_path, monkey
     data = translation_data(dataset, options)
     for run, seed in seeds.items():
         train_translators(tmp_path / "alone", {run: seed}, dataset, data, options.config("l1+gan"), options)
-    monkeypatch.setattr(step, "platform", lambda mesh: "gpu")  # a CPU would take runs one after another
+    monkeypatch.setattr(loop, "platform", lambda mesh: "gpu")  # a CPU would take runs one after another
     for steps in (1, 2):  # interrupted in between
         own = dataclasses.replace(options, steps=steps)
         train_translators(tmp_path / "together", seeds, dataset, data, own.config("l1+gan"), own)

@@ -19,7 +19,7 @@ from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax._src.planning.rules import complete_rules, reference_rules
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import EXPANDING, SENSING, LowestColumn, Scattered
 from tests.support.hostile import FLOOR, KINDS, Hostile, misleading_worlds
@@ -39,9 +39,9 @@ BOUNDS = ((1.0, 0.2), (1.0, 1.0), (1.5, 0.0), (2.0, 0.5), (3.0, 2.0))
 
 def run(planner, terrains, starts, step_limit=STEP_LIMIT):
     worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
-    episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
+    episodes = jnp.arange(len(starts)), make_pose(*np.array(starts).T)
     sensing = planner.rules.sensing
-    return rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit, slots=64)
+    return rollout(planner, worlds, *episodes, sensing=sensing, step_limit=step_limit, slots=64)
 
 
 def steps_to_the_door(terrain, pose, actions):

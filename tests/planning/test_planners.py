@@ -33,7 +33,7 @@ from dc2g_jax._src.planning.planners import (
 from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
 from dc2g_jax._src.rollouts.results import action_letters
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.errors import InputError
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
@@ -59,8 +59,10 @@ complete_rules_first = pytest.mark.parametrize("rules", ["complete", pytest.para
 
 def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
     worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
-    episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
-    return rollout(planner, worlds, episodes, sensing=sensing or field_of_view(SENSING), step_limit=step_limit, slots=4)
+    episodes = jnp.arange(len(starts)), make_pose(*np.array(starts).T)
+    return rollout(
+        planner, worlds, *episodes, sensing=sensing or field_of_view(SENSING), step_limit=step_limit, slots=4
+    )
 
 
 def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_to_go=lambda index: None, **more):

@@ -20,7 +20,7 @@ from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, planner_with
 from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rollouts.results import action_letters
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax.rivals.cost_utility import CostUtility
 from dc2g_jax.rivals.frontier_potential import FrontierPotential
 from dc2g_jax.rivals.hysteresis import Hysteresis
@@ -185,9 +185,9 @@ def right_hand_episode(terrain, pose):
 
 def check_episodes(planner, episode, first_seed):
     terrains, starts = random_worlds((11, 33), first_seed)
-    episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
+    episodes = jnp.arange(len(starts)), make_pose(*np.array(starts).T)
     worlds = World.from_terrain(np.moveaxis(terrains, 0, -1))
-    done = rollout(planner, worlds, episodes, sensing=field_of_view(SENSING), step_limit=STEP_LIMIT, slots=4)
+    done = rollout(planner, worlds, *episodes, sensing=field_of_view(SENSING), step_limit=STEP_LIMIT, slots=4)
     for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         expected = episode(terrain, pose)
         assert (action_letters(done, index), MODE_NAMES[done.mode[index]]) == expected, index

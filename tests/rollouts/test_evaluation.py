@@ -130,7 +130,7 @@ def test_planners_of_ones_own_are_run_beside_the_others(dataset):
 
 def test_no_starts_no_results(dataset):
     assert Runner(dataset, SETTINGS["paper"]).run([], ["frontier"]) == []
-    assert len(episodes_from([], {})) == 0
+    assert len(episodes_from([], {})[0]) == 0
     refusal(lambda: episodes_from(STARTS, {"left": 0}), "'right'", "left")
 
 

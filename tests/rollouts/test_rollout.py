@@ -21,7 +21,7 @@ from dc2g_jax._src.planning.selection import QuantileCost
 from dc2g_jax._src.rollouts import rollout as rollout_module
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.results import action_letters
-from dc2g_jax._src.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
+from dc2g_jax._src.rollouts.rollout import NO_ACTION, Trajectories, rollout
 from dc2g_jax._src.runtime import devices
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
@@ -38,19 +38,19 @@ def terrains(street, island) -> np.ndarray:
     return np.stack([street, island, *(maps.random_terrain(seed, SHAPE, 0.75) for seed in range(N_WORLDS - 2))])
 
 
-def some_episodes(terrains: np.ndarray, seed: int, count: int = N_EPISODES) -> Episodes:
+def some_episodes(terrains: np.ndarray, seed: int, count: int = N_EPISODES):
     world = np.random.default_rng(seed).integers(len(terrains), size=count)
     poses = []
     for number, index in enumerate(world):
         ground = np.isin(terrains[index], oracle.TRAVERSABLE_CLASSES) & (terrains[index] != oracle.FRONT_DOOR)
         poses.append(maps.random_pose(1000 * seed + number, ground))
-    return Episodes(world=jnp.asarray(world, jnp.int32), start=make_pose(*np.array(poses).T))
+    return jnp.asarray(world, jnp.int32), make_pose(*np.array(poses).T)
 
 
 def run(terrains, episodes, planner=None, **options) -> Trajectories:
     planner = Frontier(RULES) if planner is None else planner
     options = {"sensing": RULES.sensing, "step_limit": 60, "slots": N_EPISODES, **options}
-    return rollout(planner, World.from_terrain(np.moveaxis(terrains, 0, -1)), episodes, **options)
+    return rollout(planner, World.from_terrain(np.moveaxis(terrains, 0, -1)), *episodes, **options)
 
 
 def assert_equal(one: Trajectories, other: Trajectories) -> None:
@@ -68,11 +68,11 @@ def test_finished_robots_that_wait_for_others_change_nothing(terrains, monkeypat
 
 @pytest.mark.parametrize("slots", [1, 3, 128])
 def test_results_do_not_depend_on_the_number_of_slots(terrains, slots):
-    episodes = some_episodes(terrains, 0)
-    done = run(terrains, episodes, slots=slots)
+    world, start = some_episodes(terrains, 0)
+    done = run(terrains, (world, start), slots=slots)
     for index in range(N_EPISODES):
-        terrain = terrains[int(episodes.world[index])]
-        pose = tuple(int(part[index]) for part in (episodes.start.x, episodes.start.y, episodes.start.heading))
+        terrain = terrains[int(world[index])]
+        pose = tuple(int(part[index]) for part in (start.x, start.y, start.heading))
         success, actions, mode = oracle.run_episode(
             terrain, pose, "frontier", rules="complete", sensing_radius=3, expanding_radius=3, max_steps=60
         )
@@ -103,7 +103,7 @@ def test_worlds_that_are_not_stacked_along_the_last_axis_are_refused(terrains):
     for worlds in (World.from_terrain(terrains[0]), jax.vmap(World.from_terrain)(terrains)):
         shape = list(worlds.goals.shape)
         refusal(
-            lambda worlds=worlds: rollout(Frontier(RULES), worlds, some_episodes(terrains, 0), sensing=RULES.sensing),
+            lambda worlds=worlds: rollout(Frontier(RULES), worlds, *some_episodes(terrains, 0), sensing=RULES.sensing),
             f"batch axes come last: goals of the stacked worlds are {shape}, expected [1, h, worlds]",
         )
 
@@ -259,7 +259,7 @@ class Blind(Planner):
 @pytest.mark.parametrize("slots", [1, 4])
 def test_no_robot_drives_through_a_house(slots):
     street = np.stack([maps.drawn("RR#RDR"), maps.drawn("RRRRDR")])
-    episodes = Episodes(world=jnp.array([0, 1, 0, 0]), start=make_pose(np.array([0, 0, 3, 2]), *np.zeros((2, 4))))
+    episodes = jnp.array([0, 1, 0, 0]), make_pose(np.array([0, 0, 3, 2]), *np.zeros((2, 4)))
     done = run(street, episodes, Blind(jnp.zeros(60, jnp.int32)), slots=slots)
     # Of those that start in the west, one has a house in its way. The last starts in the house, and may leave it.
     assert done.success.tolist() == [False, True, True, True]
@@ -297,7 +297,7 @@ def test_rollouts_of_random_sizes_and_ranges_are_those_of_the_plain_program():
         settings = ("complete", "reference")[seed % 2]
         rules = complete_rules(reach) if settings == "complete" else reference_rules(reach)
         terrains, starts = random_worlds((height, width), 10 * seed, episodes=3)
-        episodes = Episodes(world=jnp.arange(3), start=make_pose(*np.array(starts).T))
+        episodes = jnp.arange(3), make_pose(*np.array(starts).T)
         done = run(terrains, episodes, Frontier(rules), sensing=rules.sensing, slots=None)
         for number, start in enumerate(starts):
             success, letters, _ = oracle.run_episode(

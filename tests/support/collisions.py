@@ -210,7 +210,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         "rollout, steps": (lambda cls: run(cls(rules)), of_planner),
         "rollout, estimator": (lambda cls: run(DC2G(cls(), rules)), of_estimator),
         "masks": (
-            lambda cls: collect_masks(cls(rules), batch, episodes, sensing=rules.sensing, per_episode=1, seed=0),
+            lambda cls: collect_masks(cls(rules), batch, *episodes, sensing=rules.sensing, per_episode=1, seed=0),
             of_planner,
         ),
         "replay": (lambda cls: replayed(cls(rules)), of_planner),

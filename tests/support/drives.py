@@ -38,4 +38,4 @@ def made(planner, noise=0.0):
 def drives(planner, *starts, noise=0.0, **options):
     """Results of driving from the starts."""
     episodes = episodes_from(starts, {name: number for number, name in enumerate(HOUSES)})
-    return fleet.drive_all(made(planner, noise), SITES, episodes, **options)
+    return fleet.drive_all(made(planner, noise), SITES, *episodes, **options)

@@ -22,7 +22,7 @@ from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.grid.terrain import GRASS
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import House
-from dc2g_jax._src.readers.starts import PublishedEpisode, Start
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult, Results
 from dc2g_jax._src.training import cost_to_go_data, loop, sweeps, train as training
@@ -145,7 +145,8 @@ def _published(patch: pytest.MonkeyPatch, module: Any) -> None:
     """Call the houses the published ones, and some episodes in them the paper's."""
     _episodes(patch)
     groups = PUBLISHED_GROUPS[:-1]
-    ran = [PublishedEpisode(group, start, 5, 9, 7) for group in groups for start in STARTS[:2]]
+    steps = {"oracle": 5, "frontier": 9, "dc2g": 7}
+    ran = [(start, group, steps) for group in groups for start in STARTS[:2]]
     open_dataset = module.open_dataset
     patch.setattr(module, "open_dataset", lambda where: dataclasses.replace(open_dataset(where), source="published"))
     for each in (module, episodes, published):

@@ -18,7 +18,8 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.runtime.devices import mesh_of, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
-from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import Supervised, TrainingState, supervised_step
 from dc2g_jax.indoor.learning.networks import CostMapArchitecture
 from experiments.objectnav.data import JourneySet
@@ -36,7 +37,7 @@ COST_TO_GO = TrainingConfig(
     learning_rate=3e-3,
     average_decay=0.9,
 )
-DRAW_PAIRS = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1)
+DRAW_PAIRS = DataConfig(own_share=1.0, edge_weight=2.0, half_weight_cost=np.inf, jitter=0.1, whole_share=0.1).draw_batch
 
 TRANSLATOR = TranslatorConfig(
     architecture=TranslatorArchitecture(size=32, base_filters=4), batch_size=2, learning_rate=2e-3

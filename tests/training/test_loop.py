@@ -48,10 +48,10 @@ class Training:
         return {}
 
     def restore(self):
-        return Count(jnp.full(len(self.runs), self.first_step) if len(self.runs) > 1 else jnp.int32(self.first_step))
+        return [Count(jnp.int32(self.first_step)) for _ in self.runs]
 
-    def save(self, state):
-        self.saved.append(int(np.max(state.step)))
+    def save(self, states):
+        self.saved.append(int(states[0].step))
 
     def close(self):
         pass
@@ -165,10 +165,10 @@ def test_a_training_validates_five_times_unless_told_otherwise(steps):
 @pytest.mark.parametrize(("minutes", "saves", "kept"), [(0.0, 2, [4, 8]), (np.inf, 1, [25])])
 def test_an_interrupt_while_saving_lets_it_finish(training, monkeypatch, minutes, saves, kept):
 
-    def save(state):
+    def save(states):
         if len(training.saved) == saves - 1:
             os.kill(os.getpid(), signal.SIGINT)
-        training.saved.append(int(state.step))
+        training.saved.append(int(states[0].step))
 
     monkeypatch.setattr(training, "save", save)
     with pytest.raises(KeyboardInterrupt):
@@ -179,8 +179,8 @@ def test_an_interrupt_while_saving_lets_it_finish(training, monkeypatch, minutes
 @pytest.mark.usefixtures("interruptible")
 def test_a_save_that_is_broken_off_is_not_begun_again(training, monkeypatch):
 
-    def save(state):
-        training.saved.append(int(state.step))
+    def save(states):
+        training.saved.append(int(states[0].step))
         for _ in range(2):
             os.kill(os.getpid(), signal.SIGINT)
 

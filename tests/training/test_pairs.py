@@ -15,12 +15,12 @@ from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.training import masks
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.masks import by_house, collect_masks, moments_along
-from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
+from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, jittered, make_pair
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
@@ -155,12 +155,16 @@ def masks_drawn(data: TrainingSet, batch: Pair) -> list[int]:
     return [owner[np.asarray(grid).tobytes()] for grid in batch.terrain]
 
 
+def draw_with(batch_size: int, **changes):
+    """Draws batches of pairs that are not stretched, by default of masked maps."""
+    config = DataConfig(**{"half_weight_cost": np.inf, "jitter": 0.0, "whole_share": 0.0, **changes})
+    return jax.jit(functools.partial(config.draw_batch, batch_size=batch_size))
+
+
 @pytest.mark.parametrize(("own_share", "low", "high"), [(1.0, 0, N_OWN), (0.0, N_OWN, N_MASKS)])
 def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     data, _ = training_set((12, 12))
-    draw = jax.jit(
-        functools.partial(draw_pairs, batch_size=200, own_share=own_share, edge_weight=4.0, jitter=0.0, whole_share=0.0)
-    )
+    draw = draw_with(200, own_share=own_share)
     batch = draw(jax.random.key(0), data)
     assert batch.terrain.shape == (200, 12, 12)
     assert set(masks_drawn(data, batch)) == set(range(low, high))
@@ -174,8 +178,7 @@ def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
 def test_masks_of_one_kind_are_all_drawn_alike(n_own):
     data, _ = training_set((12, 12))
     data = dataclasses.replace(data, n_own=jnp.int32(n_own))
-    draw = functools.partial(draw_pairs, edge_weight=4.0, jitter=0.0, whole_share=0.0)
-    batch = jax.jit(functools.partial(draw, batch_size=64 * N_MASKS, own_share=0.4))(jax.random.key(0), data)
+    batch = draw_with(64 * N_MASKS, own_share=0.4)(jax.random.key(0), data)
     drawn = np.bincount(masks_drawn(data, batch), minlength=N_MASKS)
     assert drawn.min() > 32
     assert drawn.max() < 128
@@ -183,8 +186,7 @@ def test_masks_of_one_kind_are_all_drawn_alike(n_own):
 
 def test_a_share_of_pairs_shows_the_whole_map():
     data, _ = training_set((12, 12))
-    draw = functools.partial(draw_pairs, batch_size=400, own_share=0.5, edge_weight=4.0, jitter=0.0, whole_share=0.25)
-    batch = jax.jit(draw)(jax.random.key(0), data)
+    batch = draw_with(400, whole_share=0.25)(jax.random.key(0), data)
     whole = np.asarray((batch.terrain != 0).all(axis=(1, 2)))
     assert 60 < whole.sum() < 140
     weight = np.asarray(batch.weight)
@@ -261,17 +263,15 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
     count = 130
     index = np.arange(count) % 2
     x = np.arange(count) % 10
-    episodes = Episodes(
-        world=jnp.asarray(index, jnp.int32), start=make_pose(x, np.where(index == 0, 4, 7), np.arange(count) % 4)
-    )
+    episodes = jnp.asarray(index), make_pose(x, np.where(index == 0, 4, 7), np.arange(count) % 4)
     options = {"sensing": rules.sensing, "step_limit": 40}
-    collected = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
+    collected = collect_masks(planner, worlds, *episodes, per_episode=3, seed=1, **options)
     assert len(collected.boards) == len(collected.world) > count
     assert set(np.unique(collected.world)) == {0, 1}
     # On the island no goal is ever in reach, so every moment counts.
     assert np.sum(collected.world == 1) == 3 * np.sum(index == 1)
 
-    done = rollout(planner, worlds, episodes, **options)
+    done = rollout(planner, worlds, *episodes, **options)
     walked = {0: set(), 1: set()}
     for number in range(count):
         pose = (int(x[number]), 4 if index[number] == 0 else 7, number % 4)
@@ -285,7 +285,7 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
         assert np.asarray(bitboard.unpack(jnp.asarray(board), 10)).tobytes() in walked[int(world)]
 
     monkeypatch.setattr(masks, "mesh_of", lambda: mesh_of(jax.devices()[:1]))
-    again = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
+    again = collect_masks(planner, worlds, *episodes, per_episode=3, seed=1, **options)
     jax.tree.map(np.testing.assert_array_equal, tuple(again), tuple(collected))
     both = by_house([collected, again])
     np.testing.assert_array_equal(both.world, np.sort(np.concatenate([collected.world] * 2)))
@@ -295,10 +295,7 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
 
 def test_map_noise_changes_some_observed_cells_and_nothing_else():
     data, _ = training_set((12, 12))
-    draw = functools.partial(draw_pairs, batch_size=200, own_share=0.5, edge_weight=4.0, jitter=0.0, whole_share=0.0)
-    clean = jax.jit(draw)(jax.random.key(0), data)
-    degrade = DataConfig(map_noise=2.0).draw_batch.keywords["degrade"]
-    noisy = jax.jit(functools.partial(draw, degrade=degrade))(jax.random.key(0), data)
+    clean, noisy = (draw_with(200, map_noise=level)(jax.random.key(0), data) for level in (0.0, 2.0))
     np.testing.assert_array_equal(noisy.target, clean.target)
     np.testing.assert_array_equal(noisy.weight, clean.weight)
     before, after = np.asarray(clean.terrain), np.asarray(noisy.terrain)

@@ -4,7 +4,10 @@ import contextlib
 import dataclasses
 import functools
 import shutil
+import subprocess
+import sys
 from typing import Any
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -20,21 +23,21 @@ from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.runtime import devices
 from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
 from dc2g_jax._src.runtime.errors import InputError
-from dc2g_jax._src.training import step
+from dc2g_jax._src.training import sweeps
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, mean_loss
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
-from dc2g_jax._src.training.losses import parse_losses
-from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.training.losses import LOSSES, loss_sha256, parse_losses
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
-from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, in_turns, named_losses, runs_of_grid, sweep
+from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, named_losses, runs_of_grid, sweep
 from tests.support import maps
 from tests.support.houses import STREET, house
 from tests.support.refusals import refusal
 from tests.support.trainings import first_state
 
 BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
-DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
+DRAW = DataConfig(own_share=1.0, edge_weight=2.0, half_weight_cost=np.inf, jitter=0.0, whole_share=0.0).draw_batch
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +112,7 @@ def test_learning_rates_that_are_refused(rate):
 
 def test_runs_of_one_shape_go_together():
     runs = grid(losses=["l1", "l2=3"], seeds=[0, 1], widths=[(4,) * 4, (8,) * 4])
-    groups = group_by_shape(runs)
+    groups = group_by_shape(runs, 64)
     assert [len(group) for group in groups] == [4, 4]
     assert {name for group in groups for name in group} == set(runs)
     for group in groups:
@@ -120,18 +123,17 @@ def test_runs_of_one_shape_go_together():
 
 def test_more_runs_than_fit_take_turns():
     runs = grid(seeds=range(5))
-    turns = in_turns(runs, 2)
+    turns = group_by_shape(runs, 2)
     assert [len(turn) for turn in turns] == [2, 2, 1]
     assert {name: config for turn in turns for name, config in turn.items()} == runs
     with pytest.raises(InputError, match="--runs-at-once 0"):
-        in_turns(runs, 0)
+        group_by_shape(runs, 0)
 
 
-@pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
-def on(request, monkeypatch):
-    """Steps as a CPU takes them, and as an accelerator does."""
-    for module in (step, devices):
-        monkeypatch.setattr(module, "platform", lambda mesh: request.param)
+@pytest.fixture
+def stack(monkeypatch):
+    """Runs divided among the devices, as on accelerators."""
+    monkeypatch.setattr(devices, "platform", lambda mesh: "gpu")
 
 
 def take_steps(data, state, hyperparameters, recipe, steps: int, runs: int = 1):
@@ -149,9 +151,9 @@ def train(data, configs, steps: int, states=None):
     return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_together_is_like_alone(data):
-    configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
+    configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]), 64)[0].values())
     states, losses = train(data, configs, 5)
     for index, config in enumerate(configs):
         state, of_run = take_steps(data, first_state(config), config.hyperparameters, config.recipe, 5)
@@ -161,18 +163,18 @@ def test_together_is_like_alone(data):
             np.testing.assert_allclose(all_of_them[index], one, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_runs_together_are_one_program(data):
-    configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]))[0].values())
+    configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]), 64)[0].values())
     train(data, configs, 1)
     before = learn.compiled_count()
     train(data, [dataclasses.replace(config, seed=7, learning_rate=2e-3) for config in configs], 2)
     assert learn.compiled_count() == before
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
-    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    configs = list(group_by_shape(grid(seeds=[0, 1]), 64)[0].values())
     whole, _ = train(data, configs, 6)
     half, _ = train(data, configs, 2)
     again, _ = train(data, configs, 4, jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), half))
@@ -193,9 +195,9 @@ def test_a_loss_of_no_weight_makes_no_run_diverge(data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
 
 
-@pytest.mark.usefixtures("on")
+@pytest.mark.usefixtures("stack")
 def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
-    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    configs = list(group_by_shape(grid(seeds=[0, 1]), 64)[0].values())
     losses = tuple((name, float("nan")) for name, _ in configs[1].losses)
     configs[1] = dataclasses.replace(configs[1], losses=losses)
     states, losses = train(data, configs, 4)
@@ -203,7 +205,7 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
     assert np.isfinite(losses[:, 0]).all()
     assert np.isnan(losses[:, 1]).all()
     assert states.step.tolist() == [4, 4]
-    assert steps_left_out(states) == [0, 4]
+    assert [steps_left_out(jax.tree.map(lambda leaf, run=run: leaf[run], states)) for run in range(2)] == [0, 4]
     for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
         np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
     first = first_state(configs[1]).weights
@@ -212,7 +214,8 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data)
 
 def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
     configs = list(grid(seeds=[0, 1]).values())
-    states = stacked([first_state(config) for config in configs])
+    states = [first_state(config) for config in configs]
+    later = [state.replace(step=jnp.int32(2)) for state in states]
     training, runs = CostToGoTraining(BASE.recipe, DRAW), {str(run): config for run, config in enumerate(configs)}
     task = Task(training, None, runs, 20, lambda *args: {}, lambda *args: None)
     with contextlib.closing(RunStates(task, tmp_path)) as checkpoints:
@@ -220,9 +223,9 @@ def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
         of_runs[1].save(first_state(configs[1]))
         jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states)
         assert of_runs[1].steps() == []
-        checkpoints.save(states.replace(step=states.step + 2))
+        checkpoints.save(later)
         of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved
-        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states.replace(step=states.step + 2))
+        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), later)
         assert [each.steps() for each in of_runs] == [[2], [2]]
 
 
@@ -320,6 +323,30 @@ def test_a_sweep_gives_arrays_and_goes_on_where_it_was(tmp_path):
     jax.tree.map(np.testing.assert_array_equal, again.networks, in_turn.networks)
     other_data = {"data": dataclasses.replace(SMALL["data"], data_seed=1)}
     refusal(lambda: sweep_houses(tmp_path / "in_turn", **other_data), "data_seed was 0")
+
+
+def test_a_loss_of_ones_own_that_was_edited_is_not_gone_on_with(tmp_path, monkeypatch):
+    for name in ("pairs_to_validate", "open_training_set"):
+        monkeypatch.setattr(sweeps, name, lambda *args: None)
+    monkeypatch.setattr(sweeps, "train_runs", mock.Mock(side_effect=KeyboardInterrupt))
+
+    def begin_with(bend):
+        def mine(estimate, target, levels):
+            return jnp.abs(estimate - target) / (bend + jax.nn.relu(target))
+
+        sweep_houses(tmp_path, losses={"mine": mine})
+
+    for bend in (np.arange(1, 6), np.arange(1, 6)):  # the second is the same function, written anew
+        with pytest.raises(KeyboardInterrupt):
+            begin_with(bend)
+    for bend in (0.5, np.arange(2, 7)):
+        refusal(lambda bend=bend: begin_with(bend), "losses_sha256: mine was", "give the same options to resume it")
+
+
+def test_the_digest_of_a_loss_is_the_same_in_every_process():
+    code = "from tests.training.test_sweeps import own_loss, loss_sha256; print(loss_sha256(own_loss))"
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    assert other == loss_sha256(own_loss) != loss_sha256(LOSSES["l1"])
 
 
 @pytest.mark.parametrize(

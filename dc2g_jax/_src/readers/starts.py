@@ -40,38 +40,22 @@ class Start(NamedTuple):
     expanding_range: int | None = None
 
 
-class PublishedEpisode(NamedTuple):
-    """One of the 400 episodes behind the paper's headline figures.
-
-    Attributes:
-      group: `train`, `same_neighborhood`, `new_neighborhood` or `urban`.
-      start: first pose.
-      oracle: steps of the authors' oracle.
-      frontier: steps of the authors' frontier planner.
-      dc2g: steps of the authors' DC2G planner.
-    """
-
-    group: str
-    start: Start
-    oracle: int
-    frontier: int
-    dc2g: int
-
-
 @functools.cache
-def published_episodes() -> tuple[PublishedEpisode, ...]:
-    """The 400 published episodes with the authors' step counts."""
+def published_episodes() -> tuple[tuple[Start, str, dict[str, int]], ...]:
+    """The 400 episodes behind the paper's headline figures.
+
+    Returns:
+      For each episode: its start; the group of its house, `train`, `same_neighborhood`, `new_neighborhood` or `urban`;
+      and the steps of the authors' planners `oracle`, `frontier` and `dc2g`.
+    """
     with resource("published_episodes.csv").open(newline="") as file:
-        lines = (line for line in file if not line.startswith("#"))
         return tuple(
-            PublishedEpisode(
-                group=row["group"],
-                start=Start(row["house"], int(row["x"]), int(row["y"]), int(row["heading"])),
-                oracle=int(row["oracle"]),
-                frontier=int(row["frontier"]),
-                dc2g=int(row["dc2g"]),
+            (
+                Start(row["house"], int(row["x"]), int(row["y"]), int(row["heading"])),
+                row["group"],
+                {planner: int(row[planner]) for planner in ("oracle", "frontier", "dc2g")},
             )
-            for row in csv.DictReader(lines)
+            for row in csv.DictReader(line for line in file if not line.startswith("#"))
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.grid import bitboard, gridworld
@@ -19,7 +19,7 @@ from dc2g_jax._src.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH,
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner, PlannerLike, sensing_of
 from dc2g_jax._src.rollouts.results import action_letters
-from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, rollout
 from dc2g_jax._src.runtime.errors import InputError, short
 from dc2g_jax._src.runtime.programs import jit
 
@@ -42,10 +42,11 @@ _ROUNDING = 1e-3
 _ARRAYS = (jax.Array, np.ndarray, np.generic, int, float)
 
 
-def _robots() -> tuple[World, Episodes]:
-    """The worlds, and episodes in each of them. In the mirror image, robots start on the mirrored columns.
+def _robots() -> tuple[World, Int[np.ndarray, "episodes"], Pose]:
+    """Worlds, and the index of the world and the first pose of episodes in each of them.
 
-    A street with a house and a side street, its mirror image, and the street with the door walled in.
+    A street with a house and a side street, its mirror image, where robots start on the mirrored columns, and the
+    street with the door walled in.
     """
     street = np.full((12, 40), GRASS, np.uint8)
     street[6], street[7], street[8:, 5] = SIDEWALK, ROAD, DRIVEWAY
@@ -58,7 +59,7 @@ def _robots() -> tuple[World, Episodes]:
     x, y, heading = np.tile(np.array(_STARTS).T, n_worlds)
     world = np.repeat(np.arange(n_worlds, dtype=np.int32), len(_STARTS))
     x = np.where(world == 1, width - 1 - x, x)
-    return World.from_terrain(maps), Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
+    return World.from_terrain(maps), world, make_pose(x, y, heading)
 
 
 def _one(tree: Any, index: Any) -> Any:
@@ -258,14 +259,14 @@ def check_planner(planner: PlannerLike) -> None:
     if hasattr(planner, "estimator"):
         check_estimator(planner.estimator)
     sensing = sensing_of(planner) if hasattr(planner, "rules") else field_of_view(_SENSING_RANGE)
-    worlds, episodes = _robots()
-    robots_worlds = _one(worlds, episodes.world)
-    one_world, one_start = _one((robots_worlds, episodes.start), 0)
+    worlds, index, starts = _robots()
+    robots_worlds = _one(worlds, index)
+    one_world, one_start = _one((robots_worlds, starts), 0)
     states = _check_states(who, planner, one_world, robots_worlds)
-    many = f"a batch of {len(episodes)}"
+    many = f"a batch of {len(index)}"
     for of, world, start, state in (
         ("one robot", one_world, one_start, states[0]),
-        (many, robots_worlds, episodes.start, states[1]),
+        (many, robots_worlds, starts, states[1]),
     ):
         belief = jax.eval_shape(lambda world, start: gridworld.reset(world, start, sensing), world, start)
         _check_plan(who, of, planner, belief, state)
@@ -273,10 +274,10 @@ def check_planner(planner: PlannerLike) -> None:
     alone = _Alone(who, planner, sensing)
     ground = bitboard.count(worlds.traversable).tolist()
     acted = []
-    for number, index in enumerate(episodes.world.tolist()):
-        world, start = _one(worlds, index), _one(episodes.start, number)
-        acted.append(alone.actions(f"episode {number}", world, start, ground[index]))
-    done = rollout(planner, worlds, episodes, sensing=sensing, slots=_SLOTS, devices=jax.local_devices()[:1])
+    for number, place in enumerate(index.tolist()):
+        world, start = _one(worlds, place), _one(starts, number)
+        acted.append(alone.actions(f"episode {number}", world, start, ground[place]))
+    done = rollout(planner, worlds, index, starts, sensing=sensing, slots=_SLOTS, devices=jax.local_devices()[:1])
     for number, letters in enumerate(acted):
         in_batch = action_letters(done, number)
         if letters != in_batch:
@@ -316,16 +317,15 @@ def check_estimator(estimator: Estimator) -> None:
       InputError: the first of these that does not hold, with what was expected and what was found.
     """
     who = _check_tree("estimator", estimator, "init", "estimate")
-    worlds, episodes = _robots()
-    worlds = _one(worlds, episodes.world)
-    count = len(episodes)
+    worlds, index, starts = _robots()
+    worlds, count = _one(worlds, index), len(index)
     states = _check_states(who, estimator, _one(worlds, 0), worlds)
     state = jit(lambda estimator, worlds: estimator.init(worlds))(estimator, worlds)
     # Two programs: the second is traced anew.
     estimate, again = (jit(lambda estimator, *arguments: estimator.estimate(*arguments)) for _ in range(2))
     equal = functools.partial(np.allclose, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
-    first_views = gridworld.reset(worlds, episodes.start, field_of_view(_SENSING_RANGE))
-    for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, episodes.start))):
+    first_views = gridworld.reset(worlds, starts, field_of_view(_SENSING_RANGE))
+    for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, starts))):
         terrain = extent_of(estimator).part(belief.terrain, belief.pose)
         for of, part, kept in (("one map", _one(terrain, 0), states[0]), (f"{count} maps", terrain, states[1])):
             answer = _traced(who, "estimate", of, estimator, part, kept)

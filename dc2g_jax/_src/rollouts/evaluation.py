@@ -22,12 +22,13 @@ from dc2g_jax._src.grid.poses import Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
-from dc2g_jax._src.planning.planners import GAVE_UP, Oracle, PlannerLike, sensing_of
+from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Oracle, PlannerLike, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset, stack_worlds
 from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
-from dc2g_jax._src.rollouts.results import EpisodeResult, Results, rows_of
-from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+from dc2g_jax._src.rollouts.results import EpisodeResult, Results, action_letters
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Trajectories, rollout
+from dc2g_jax._src.rollouts.statistics import extra_steps
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number, short
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 
@@ -47,8 +48,8 @@ PlannerSource = str | PlannerLike | Callable[[Rules], PlannerLike]
 Planners = Iterable[str] | Mapping[str, PlannerSource]
 
 
-def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes:
-    """Convert starts to `Episodes`, given each house's index in the stack of worlds.
+def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> tuple[Int[Array, "episodes"], Pose]:
+    """Index of the world and first pose of each episode, for `rollout`, given each house's index in the stack.
 
     Raises:
       InputError: a start is in another house.
@@ -57,7 +58,7 @@ def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes
         check_name("house of a start", house, index)
     table = np.array([(index[start.house], start.x, start.y, start.heading) for start in starts], np.int32)
     world, x, y, heading = table.reshape(-1, 4).T
-    return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
+    return jnp.asarray(world), make_pose(x, y, heading)
 
 
 def _default_step_limit(terrain: UInt8[np.ndarray, "h w"]) -> int:
@@ -151,19 +152,21 @@ class Runner:
             if not hasattr(planner, needed):
                 who = name or type(planner).__name__
                 raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
-        episodes = episodes_from(starts, self._index)
+        index, poses = episodes_from(starts, self._index)
 
         def report(finished: int) -> None:
             if self._progress is not None:
                 self._progress(name, finished, len(starts))
 
         report(0)  # before minutes of compilation, perhaps
-        done = rollout(planner, worlds, episodes, sensing=rules.sensing, step_limit=self.step_limit, on_progress=report)
+        done = rollout(
+            planner, worlds, index, poses, sensing=rules.sensing, step_limit=self.step_limit, on_progress=report
+        )
         estimator, gave_up = getattr(planner, "estimator", None), np.flatnonzero(done.mode == GAVE_UP)
         if estimator is not None and gave_up.size:
             first = int(gave_up[0])
-            world = jax.tree.map(lambda leaf: leaf[..., self._index[starts[first].house]], worlds)
-            pose = jax.tree.map(lambda leaf: leaf[first], episodes.start)
+            world = jax.tree.map(lambda leaf: leaf[..., index[first]], worlds)
+            pose = jax.tree.map(lambda leaf: leaf[first], poses)
             actions = jnp.asarray(done.actions[first][: done.steps[first]], jnp.int32)
             if _estimates_nan(estimator, world, pose, actions, sensing=rules.sensing):
                 raise InputError(
@@ -216,8 +219,13 @@ class Runner:
                 done = oracle if name == "oracle" else None
                 if done is None:
                     done = self.trajectories(_made(name, source, rules), rules, chosen, name)
-                rows = rows_of(name, chosen, rules, done, self._oracle_steps[rules, chosen])
-                results |= zip(((name, number) for number in numbers), rows, strict=True)
+                steps = zip(done.steps.tolist(), self._oracle_steps[rules, chosen].tolist(), strict=True)
+                for row, (number, (taken, shortest)) in enumerate(zip(numbers, steps, strict=True)):
+                    results[name, number] = EpisodeResult(
+                        *chosen[row][:4], rules.sensing.radius, rules.expanding_range, name, bool(done.success[row]),
+                        taken, shortest, extra_steps(taken, shortest), MODE_NAMES[done.mode[row]],
+                        action_letters(done, row),
+                    )  # fmt: skip
         return [results[name, number] for name in named for number in range(len(starts))]
 
 
@@ -319,12 +327,11 @@ def evaluate(
     if isinstance(planners, str) or not isinstance(planners, Iterable):
         planners = [planners]
     if not isinstance(planners, Mapping):
-        planners = list(planners)
-        for name in planners:
+        for name in (planners := list(planners)):
             if not isinstance(name, str):
                 raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
-    named = planners.values() if isinstance(planners, Mapping) else planners
-    sources = [source for source in named if isinstance(source, str)]
+        planners = {name: name for name in planners}
+    sources = [source for source in planners.values() if isinstance(source, str)]
     check_names(sources)
     settings = named_settings(settings)
     settings.rules(sensing_range)

@@ -83,7 +83,6 @@ def in_order(families: Families) -> list[str]:
 
 
 def _sentence(name: str, family: Family, planner: str) -> str:
-    """How a planner does in a family, in words."""
     first, second = family.ranked()[:2]
     ratio = family.ratio(planner, second if planner == first else first)
     interval = f"{ratio.mean:.2f} ({ratio.low:.2f} to {ratio.high:.2f})"
@@ -95,7 +94,6 @@ def _sentence(name: str, family: Family, planner: str) -> str:
 
 
 def _row(families: Families, planner: str) -> str:
-    """The row of a planner in the table."""
     cells = [f"*`{planner}`*" if planner in PRIVILEGED else f"`{planner}`", f"{mean_ratio(families, planner):.2f}"]
     for family in families.values():
         ratio, success = f"{family.ratio(planner).mean:.2f}", family.success[planner]

@@ -10,18 +10,16 @@ import numpy as np
 from dc2g_jax._src.files.rows import write_rows
 from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS
-from dc2g_jax._src.planning.planners import MODE_NAMES, Mode
-from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.planning.planners import Mode
 from dc2g_jax._src.rollouts.rollout import Trajectories
-from dc2g_jax._src.rollouts.statistics import Summary, extra_steps, summarize
+from dc2g_jax._src.rollouts.statistics import extra_steps, summarize
 from dc2g_jax._src.runtime.errors import check_name, short
 
 #: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
 _ROUNDING = 0.1
 
-#: Planner -> group of houses -> summary.
-Table = Mapping[str, Mapping[str, Summary]]
+#: Planner -> group of houses -> summary, see `summarize`.
+Table = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
 class EpisodeResult(NamedTuple):
@@ -78,21 +76,6 @@ def action_letters(trajectories: Trajectories, episode: int) -> str:
     return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
 
 
-def rows_of(
-    name: str, starts: Sequence[Start], rules: Rules, done: Trajectories, oracle_steps: np.ndarray
-) -> list[EpisodeResult]:
-    """Results of one planner's rollout, in the order of the starts."""
-    return [
-        EpisodeResult(
-            *start[:4], rules.sensing.radius, rules.expanding_range, name, bool(done.success[row]), steps, shortest,
-            extra_steps(steps, shortest), MODE_NAMES[done.mode[row]], action_letters(done, row),
-        )
-        for row, (start, steps, shortest) in enumerate(
-            zip(starts, done.steps.tolist(), oracle_steps.tolist(), strict=True)
-        )
-    ]  # fmt: skip
-
-
 class Results(tuple[EpisodeResult, ...]):
     """A tuple of results of one or more planners: planner by planner, each in the order of the starts.
 
@@ -123,8 +106,11 @@ class Results(tuple[EpisodeResult, ...]):
             values.setdefault(result.planner, []).append(getattr(result, field))
         return {planner: np.array(own) for planner, own in values.items()}
 
-    def summary(self) -> dict[str, Summary]:
-        """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
+    def summary(self) -> dict[str, Mapping[str, float]]:
+        """For each planner `mean_extra`, `median_extra`, `quartile_25` and `quartile_75`, extra steps in percent;
+        `success`, 0 to 1; the number of `episodes`; and `mean_low` and `mean_high`, the 95 % interval of the mean over
+        houses.
+        """
         return {planner: row["all"] for planner, row in tabulate(self, ("all",)).items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -138,7 +124,7 @@ class Results(tuple[EpisodeResult, ...]):
 
 def tabulate(
     results: Iterable[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str] | None = None
-) -> dict[str, dict[str, Summary]]:
+) -> Table:
     """Summary by planner and group of houses; the last of the groups holds all episodes."""
     cells: dict[str, dict[str, list[EpisodeResult]]] = {}
     for one in results:
@@ -154,10 +140,16 @@ def tabulate(
     }
 
 
-def as_text(table: Mapping[str, Summary]) -> str:
+def as_text(table: Mapping[str, Mapping[str, float]]) -> str:
     """A table: extra steps beyond the oracle and success, a line for each planner."""
     rows = (
-        (planner, f"{row.mean_extra:.1f}", f"{row.median_extra:.1f}", f"{100 * row.success:.1f}", f"{row.episodes:,}")
-        for planner, row in table.items()
+        (
+            planner,
+            f"{of['mean_extra']:.1f}",
+            f"{of['median_extra']:.1f}",
+            f"{100 * of['success']:.1f}",
+            f"{of['episodes']:,}",
+        )
+        for planner, of in table.items()
     )
     return text_table(("planner", "extra steps %: mean", "median", "success %", "episodes"), rows)

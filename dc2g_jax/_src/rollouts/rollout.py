@@ -48,23 +48,6 @@ _REFILLED_TOGETHER = 1 / 32
 
 
 @struct.dataclass
-class Episodes:
-    """Episodes to run.
-
-    Attributes:
-      world: index of each episode's world in the stack of worlds, int32.
-      start: first pose of each episode.
-    """
-
-    world: Int[Array, "episodes"]
-    start: Pose
-
-    def __len__(self) -> int:
-        """Number of episodes."""
-        return len(self.world)
-
-
-@struct.dataclass
 class Trajectories:
     """Results of a rollout, in the order of the episodes.
 
@@ -88,13 +71,15 @@ class _Queue:
     Attributes:
       worlds: the worlds.
       planner_states: first state of the planner in each world.
-      episodes: the episodes, followed by padding.
+      index: index of each episode's world, followed by padding.
+      start: first pose of each episode.
       length: number of episodes without padding.
     """
 
     worlds: World
     planner_states: Any
-    episodes: Episodes
+    index: Int[Array, "rows"]
+    start: Pose
     length: Int[Array, ""]
 
 
@@ -124,24 +109,15 @@ class _Slots:
 
 
 @struct.dataclass
-class _Results:
-    """Results so far, one row per episode of the padded queue.
+class _State:
+    """The state of a rollout: the robots, the results, and the number of episodes that were started.
 
-    Actions that are not kept are `None`: on several CPU devices, jax 0.11 crashes on arrays without elements.
+    The results are `Trajectories` with a row for each episode of the padded queue. Actions that are not kept are
+    `None`: on several CPU devices, jax 0.11 crashes on arrays without elements.
     """
 
-    actions: Int8[Array, "rows step_limit"] | None
-    steps: Int[Array, "rows"]
-    success: Bool[Array, "rows"]
-    mode: Int[Array, "rows"]
-
-
-@struct.dataclass
-class _State:
-    """The state of a rollout: the robots, the results, and the number of episodes that were started."""
-
     slots: _Slots
-    results: _Results
+    results: Any
     seated: Int[Array, ""]
 
 
@@ -153,17 +129,17 @@ def _take(tree: Any, index: Array) -> Any:
 def _robots(queue: _Queue, turn: Int[Array, "slots"], sensing: Kernel) -> _Slots:
     """Robots at the start of the episodes at these indices of the queue; idle ones beyond its end."""
     active = turn < queue.length
-    world_index = queue.episodes.world.at[turn].get(mode="clip")
+    world_index = queue.index.at[turn].get(mode="clip")
     world = _take(queue.worlds, world_index)
     world = jax.tree.map(lambda leaf: jnp.where(active, leaf, jnp.uint32(0)), world)
     return _Slots(
-        episode=jnp.where(active, turn, len(queue.episodes)),
+        episode=jnp.where(active, turn, len(queue.index)),
         active=active,
         finished=jnp.zeros_like(active),
         success=jnp.zeros_like(active),
         mode=jnp.full_like(turn, EXPLORE),
         world=world,
-        belief=gridworld.reset(world, _take(queue.episodes.start, turn), sensing),
+        belief=gridworld.reset(world, _take(queue.start, turn), sensing),
         planner_state=_take(queue.planner_states, world_index),
     )
 
@@ -206,7 +182,6 @@ def _advance(
 
 
 def _record(state: _State) -> _State:
-    """Store the results of the finished episodes."""
     slots, results = state.slots, state.results
     row = jnp.where(slots.finished, slots.episode, len(results.steps))
     return dataclasses.replace(
@@ -337,21 +312,17 @@ def _run(
 
 @functools.partial(jit, static_argnames=("mesh", "sensing", "n_slots", "kept_steps"))
 def _first_states(
-    planner: PlannerLike, worlds: World, episodes: Episodes, lengths: Int[Array, "devices"],
+    planner: PlannerLike, worlds: World, index: Int[Array, "devices rows"], start: Pose, lengths: Int[Array, "devices"],
     *, mesh: Mesh, sensing: Kernel, n_slots: int, kept_steps: int | None,
 ) -> tuple[_Queue, _State]:  # fmt: skip
     """The queue of each device, and its slots with the first episodes."""
 
-    def first(own: tuple[Episodes, Int[Array, ""]], planner: PlannerLike, worlds: World) -> tuple[_Queue, _State]:
-        episodes, length = own
-        queue = _Queue(worlds=worlds, planner_states=planner.init(worlds), episodes=episodes, length=length)
-        rows = len(episodes)
-        results = _Results(
-            actions=None if kept_steps is None else jnp.full((rows, kept_steps), NO_ACTION, jnp.int8),
-            steps=jnp.zeros(rows, jnp.int32),
-            success=jnp.zeros(rows, bool),
-            mode=jnp.full(rows, EXPLORE, jnp.int32),
-        )
+    def first(own: tuple[Array, Pose, Array], planner: PlannerLike, worlds: World) -> tuple[_Queue, _State]:
+        queue = _Queue(worlds, planner.init(worlds), *own)
+        rows = len(queue.index)
+        actions = None if kept_steps is None else jnp.full((rows, kept_steps), NO_ACTION, jnp.int8)
+        begun: list[Any] = [jnp.zeros(rows, jnp.int32), jnp.zeros(rows, bool), jnp.full(rows, EXPLORE, jnp.int32)]
+        results: Any = Trajectories(actions, *begun)  # type: ignore[arg-type]
         turns = jnp.arange(n_slots, dtype=jnp.int32)
         if _until_each_asks(planner, mesh):
             slots = jax.lax.map(lambda turn: _robots(queue, turn, sensing), turns[:, None])
@@ -359,11 +330,10 @@ def _first_states(
             slots = _robots(queue, turns, sensing)
         return queue, _State(slots, results, seated=jnp.sum(slots.active, dtype=jnp.int32))
 
-    return on_each(first, mesh, (episodes, lengths), planner, worlds)
+    return on_each(first, mesh, (index, start, lengths), planner, worlds)
 
 
 def _default_slots(planner: PlannerLike, worlds: World, platform: str) -> int:
-    """The default number of slots of a device."""
     if platform != "cpu":
         n_words, height = worlds.goals.shape[:2]
         return max(1, 1 << (_ACCELERATOR_WORDS // (n_words * height)).bit_length() >> 1)
@@ -373,7 +343,8 @@ def _default_slots(planner: PlannerLike, worlds: World, platform: str) -> int:
 def rollout(
     planner: PlannerLike,
     worlds: World,
-    episodes: Episodes,
+    index: Int[Array | np.ndarray, "episodes"],
+    start: Pose,
     *,
     sensing: Kernel | None = None,
     step_limit: int = STEP_LIMIT,
@@ -387,7 +358,9 @@ def rollout(
     Args:
       planner: planner of the robots.
       worlds: stack of worlds of one size, along the last axis.
-      episodes: world index and first pose of each episode.
+      index: index of each episode's world in the stack, int32.
+      start: first pose of each episode. Poses are not checked, and no goal need be in reach; `datasets.check_starts`
+        checks starts in houses, and `rollouts.episodes_from` makes arrays of them.
       sensing: field of view of the robots; `None` for that of the planner's rules. Planners without rules need one.
       step_limit: actions after which an episode ends without success.
       slots: number of robots simulated side by side on each device; `None` for the default of the device.
@@ -404,7 +377,7 @@ def rollout(
     words = bitboard.word_count(worlds.width)
     gridworld.check_axes("goals of the stacked worlds", worlds.goals.shape, words, "h", "worlds")
     sensing = sensing_of(planner, sensing)
-    n_episodes = len(episodes)
+    n_episodes = len(index)
     if n_episodes == 0:
         empty = np.zeros(0, np.int32)
         return Trajectories(np.zeros((0, step_limit if keep_actions else 0), np.int8), empty, empty.astype(bool), empty)
@@ -415,13 +388,11 @@ def rollout(
         slots = _default_slots(planner, worlds, platform(mesh))
     slots = min(slots, capacity)
     planner, worlds = replicate((planner, worlds), mesh)
-    dealt, lengths = deal(episodes, n_episodes, mesh, capacity), dealt_counts(n_episodes, mesh)
     queues, states = _first_states(
-        planner, worlds, dealt, lengths, mesh=mesh, sensing=sensing, n_slots=slots,
-        kept_steps=step_limit if keep_actions else None,
+        planner, worlds, *deal((index, start), n_episodes, mesh, capacity), dealt_counts(n_episodes, mesh), mesh=mesh,
+        sensing=sensing, n_slots=slots, kept_steps=step_limit if keep_actions else None,
     )  # fmt: skip
     go_on = functools.partial(_run, queues=queues, planner=planner, mesh=mesh, sensing=sensing, step_limit=step_limit)
     states = serve_paced(states, go_on, n_episodes, on_progress, first_steps=_FIRST_STEPS)
-    results = gather(states.results, n_episodes)
-    actions = results.actions if keep_actions else np.zeros((n_episodes, 0), np.int8)
-    return Trajectories(actions, results.steps, results.success, results.mode)
+    done: Trajectories = gather(states.results, n_episodes)
+    return done if keep_actions else dataclasses.replace(done, actions=np.zeros((n_episodes, 0), np.int8))

@@ -18,30 +18,6 @@ def extra_steps(steps: int, oracle_steps: int) -> float:
     return 100.0 * (steps - oracle_steps) / oracle_steps
 
 
-class Summary(NamedTuple):
-    """Extra steps over a set of episodes, in percent. Each episode has the same weight.
-
-    Attributes:
-      mean_extra: mean.
-      median_extra: median.
-      quartile_25: lower quartile.
-      quartile_75: upper quartile.
-      success: share of episodes that reached a goal, 0 to 1.
-      episodes: number of episodes.
-      mean_low: lower end of the 95 % interval of the mean, see `house_bootstrap`; NaN without houses.
-      mean_high: its upper end.
-    """
-
-    mean_extra: float
-    median_extra: float
-    quartile_25: float
-    quartile_75: float
-    success: float
-    episodes: int
-    mean_low: float = math.nan
-    mean_high: float = math.nan
-
-
 #: Bootstrap samples of houses for intervals in summaries, and their seed.
 _RESAMPLES, _SEED = 10_000, 0
 
@@ -51,19 +27,33 @@ _DRAWN_AT_A_TIME = 1_000_000
 
 def summarize(
     extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray, houses: Sequence[str] | None = None
-) -> Summary:
-    """Summarize a set of episodes, with an interval of the mean if the house of each is given.
+) -> dict[str, float]:
+    """Extra steps over a set of episodes, in percent. Each episode has the same weight.
+
+    Returns:
+      `mean_extra`, `median_extra`, `quartile_25` and `quartile_75`; `success`, the share of episodes that reached a
+      goal, 0 to 1; the number of `episodes`; and `mean_low` and `mean_high`, the ends of the 95 % interval of the mean,
+      see `house_bootstrap`, NaN if no houses are given.
 
     Raises:
       ValueError: there are no episodes.
     """
     if len(extra) == 0:
         raise ValueError("no episode to summarize")
-    low, median, high = np.percentile(extra, (25, 50, 75))
-    interval = () if houses is None else house_bootstrap(extra, houses, resamples=_RESAMPLES, seed=_SEED)[1:]
-    return Summary(
-        float(np.mean(extra)), float(median), float(low), float(high), float(np.mean(success)), len(extra), *interval
-    )
+    lower, median, upper = np.percentile(extra, (25, 50, 75)).tolist()
+    low = high = math.nan
+    if houses is not None:
+        _, low, high = house_bootstrap(extra, houses, resamples=_RESAMPLES, seed=_SEED)
+    return {
+        "mean_extra": float(np.mean(extra)),
+        "median_extra": median,
+        "quartile_25": lower,
+        "quartile_75": upper,
+        "success": float(np.mean(success)),
+        "episodes": len(extra),
+        "mean_low": low,
+        "mean_high": high,
+    }
 
 
 class Mean(NamedTuple):

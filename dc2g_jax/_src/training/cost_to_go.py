@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.runtime.errors import check_number
+from dc2g_jax._src.runtime.errors import check_number, check_seed
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.losses import LOSSES, Loss, map_loss, named_loss
 from dc2g_jax._src.training.pairs import Pair
@@ -67,7 +67,7 @@ class TrainingConfig:
         check_number("learning rate", float(np.float32(self.learning_rate)), above=0)
         check_number("steps", self.steps, whole=True, least=1)
         check_number("batch size", self.batch_size, whole=True, least=1)
-        check_number("seed", self.seed, whole=True, least=0, most=2**32 - 1)
+        check_seed(self.seed)
 
     @property
     def parts(self) -> int:
@@ -109,12 +109,6 @@ class Hyperparameters:
 DrawBatch = Callable[..., Pair]
 
 
-def _learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
-    """`step ->` learning rate: a linear warm-up, then a cosine decay to zero, for a peak of 1."""
-    warmup = min(200, recipe.steps // 10)
-    return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
-
-
 def mean_loss(
     recipe: TrainingConfig,
     loss_weights: Float[Array, "losses"],
@@ -143,7 +137,7 @@ class CostToGoTraining(Supervised):
     Attributes:
       recipe: static part of the configuration, the same for all runs.
       draw_batch: draws pairs.
-      own_losses: names and functions of losses that only this program knows.
+      own_losses: names and functions of losses, for those that only this program knows.
     """
 
     recipe: TrainingConfig
@@ -167,7 +161,8 @@ class CostToGoTraining(Supervised):
 
     def learning_rate(self, hyperparameters: Hyperparameters) -> optax.Schedule:
         """A linear warm-up, then a cosine decay to zero."""
-        schedule = _learning_rate_schedule(self.recipe)
+        steps = self.recipe.steps
+        schedule = optax.warmup_cosine_decay_schedule(0.0, 1.0, min(200, steps // 10), steps)
         return lambda step: hyperparameters.learning_rate * schedule(step)
 
     def optimizer(self, hyperparameters: Hyperparameters) -> optax.GradientTransformation:

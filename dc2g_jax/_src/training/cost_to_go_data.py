@@ -28,9 +28,8 @@ from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.runtime.errors import InputError, check_number, short
 from dc2g_jax._src.runtime.plugins import plugins
 from dc2g_jax._src.runtime.programs import jit
-from dc2g_jax._src.training.cost_to_go import DrawBatch
 from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
-from dc2g_jax._src.training.pairs import Pair, TrainingSet, draw_pairs
+from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, jittered, make_pair
 
 #: Seed of the procedural validation houses. Seeds of training must be below it.
 _VALIDATION_SEED = 10_000
@@ -43,12 +42,6 @@ _LEAST_WORLDS = 64
 
 #: Worlds per batch in the computation of labels.
 _LABELS_AT_A_TIME = 128
-
-
-def _with_noise(key: Array, terrain: UInt8[Array, "h w"], highest: float) -> UInt8[Array, "h w"]:
-    """A map with camera noise of a random level."""
-    level_key, noise_key = jax.random.split(key)
-    return noisy_map(noise_key, terrain, scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,18 +107,36 @@ class DataConfig:
             starts_per_house=starts if self.starts_per_house is None else self.starts_per_house,
         )
 
-    @property
-    def draw_batch(self) -> DrawBatch:
-        """The function that draws the pairs of a step; see `training.pairs.draw_pairs`."""
-        return functools.partial(
-            draw_pairs,
-            own_share=self.own_share,
-            edge_weight=self.edge_weight,
-            half_weight_cost=self.half_weight_cost,
-            jitter=self.jitter,
-            whole_share=self.whole_share,
-            degrade=functools.partial(_with_noise, highest=self.map_noise) if self.map_noise else None,
-        )
+    def draw_batch(self, key: Array, data: TrainingSet, *, batch_size: int) -> Pair:
+        """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
+
+        Args:
+          key: PRNG key.
+          data: labels and masks. If there are masks of one kind of houses only, pairs are of these.
+          batch_size: number of pairs.
+        """
+        which, place, turn, change, lift, noise = jax.random.split(key, 6)
+        count = len(data.mask_world)
+        own = (jax.random.uniform(which, (batch_size,)) < self.own_share) & (data.n_own > 0) | (data.n_own == count)
+        low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
+        position = jax.random.uniform(place, (batch_size,))
+        index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
+        symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRY_COUNT)
+        whole = jax.random.bernoulli(lift, self.whole_share, (batch_size,))
+        make = functools.partial(make_pair, data, edge_weight=self.edge_weight, half_weight_cost=self.half_weight_cost)
+        pairs = jax.vmap(make)(index, symmetry, whole)
+
+        def degraded(key: Array, terrain: UInt8[Array, "h w"]) -> UInt8[Array, "h w"]:
+            level_key, noise_key = jax.random.split(key)
+            level = jax.random.uniform(level_key, maxval=self.map_noise)
+            return noisy_map(noise_key, terrain, scaled(IN_MAPS, level))
+
+        if self.map_noise:
+            keys = jax.random.split(noise, batch_size)
+            pairs = dataclasses.replace(pairs, terrain=jax.vmap(degraded)(keys, pairs.terrain))
+        if not self.jitter:
+            return pairs
+        return jax.vmap(functools.partial(jittered, jitter=self.jitter))(jax.random.split(change, batch_size), pairs)
 
 
 def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
@@ -227,7 +238,7 @@ def observation_masks(
                 collect_masks(
                     planner,
                     worlds,
-                    episodes_from(starts, index),
+                    *episodes_from(starts, index),
                     sensing=sensing,
                     view=view,
                     per_episode=config.masks_per_episode,
@@ -250,16 +261,13 @@ def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
       InputError: the masks have another size or belong to other houses.
     """
     height, width = houses[0].terrain.shape
-    wanted = (bitboard.word_count(width), height)
-    if masks.boards.ndim != 3 or masks.boards.shape[1:] != wanted or masks.boards.dtype != np.uint32:
+    boards, world = masks
+    fit = boards.dtype == np.uint32 and boards.shape == (*world.shape[:1], bitboard.word_count(width), height)
+    numbers = world.ndim == 1 and np.issubdtype(world.dtype, np.integer)
+    if not fit or not numbers or np.any((world < 0) | (world >= len(houses))):
         raise InputError(
-            f"{where}: masks of shape {masks.boards.dtype.name}{list(masks.boards.shape[1:])}, but maps of "
-            f"{height} x {width} cells need uint32{list(wanted)}; delete the file to collect masks anew"
-        )
-    numbers = masks.world.ndim == 1 and np.issubdtype(masks.world.dtype, np.integer)
-    if not numbers or len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
-        raise InputError(
-            f"{where}: masks of houses other than these {len(houses)}; delete the file to collect them anew"
+            f"{where}: masks of other houses than these {len(houses)} of {width} x {height} cells; delete the file to "
+            "collect them anew"
         )
 
 
@@ -360,13 +368,13 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
     own = usable_houses(dataset, "val")
     height, width = own[0].terrain.shape
     houses = _with_drawn(own, "v", 32 if height == width else 0, _VALIDATION_SEED)
-    config = DataConfig(ranges=_VALIDATION_RANGES, starts_per_house=8)
+    config = DataConfig(
+        starts_per_house=8, ranges=_VALIDATION_RANGES, own_share=0.5, edge_weight=edge_weight,
+        half_weight_cost=math.inf, jitter=0.0, whole_share=0.0,
+    )  # fmt: skip
     masks = observation_masks(config, houses, len(own), lambda done, total: None)
     data = training_set(houses, len(own), masks)
-    draw = functools.partial(
-        draw_pairs, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
-    )
-    return jit(draw)(jax.random.key(0), data)
+    return jit(functools.partial(config.draw_batch, batch_size=count))(jax.random.key(0), data)
 
 
 class Validation:

@@ -18,22 +18,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float
+from jax.sharding import Mesh
 from tqdm import tqdm
 
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
 from dc2g_jax._src.runtime.devices import fetch, first_copy, in_any_process, mesh_for_batch, platform, replicate, settle
 from dc2g_jax._src.runtime.errors import InputError, check_number
-from dc2g_jax._src.training.step import (
-    Supervised,
-    TrainingState,
-    first_state,
-    placed,
-    stacked,
-    supervised_step,
-    unstacked,
-)
+from dc2g_jax._src.training.step import Supervised, TrainingState, first_state, placed, stacked, supervised_step
 from dc2g_jax._src.training.tracking import Curve, Image, TrackerName, run_folder
 
 #: Most bytes of a line of the log.
@@ -47,9 +39,6 @@ _VALIDATIONS = 6
 
 #: Fields of log lines that are not figures of the validation.
 _NO_FIGURES = ("step", "run", "loss", "steps_left_out")
-
-#: Mean losses of the steps since the last fetch: a scalar for a single run, one per run for several.
-_Losses = Float[np.ndarray, "*runs"]
 
 
 class Recording(Protocol):
@@ -140,20 +129,29 @@ class Pauses:
 PAUSES = Pauses()
 
 
-def fetched_runs(states: Any) -> list[Any]:
-    """The tree of each of several stacked runs, as NumPy arrays."""
-    whole = jax.tree.map(fetch, states)
+def _together(runs: list[Any], mesh: Mesh) -> list[Any]:
+    """Trees of runs that take their steps one after another; those of several on accelerators as one stack.
+
+    The cores of a CPU are busy with one run, and convolutions over a stack of weights are slower there.
+    """
+    return [stacked(runs)] if len(runs) > 1 and platform(mesh) != "cpu" else runs
+
+
+def _each_run(states: Sequence[Any], part: Callable[[Any], Any] = lambda state: state) -> list[Any]:
+    if not states[0].step.ndim:
+        return [first_copy(part(state)) for state in states]
+    whole = jax.tree.map(fetch, part(states[0]))
     return [jax.tree.map(operator.itemgetter(run), whole) for run in range(len(jax.tree.leaves(whole)[0]))]
 
 
-def steps_left_out(states: Any) -> list[int]:
-    """Number of skipped steps of each run, in which the loss or the weights would not have been finite."""
-    counts = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
-    return np.atleast_1d(fetch(states.step) - fetch(counts[0][1])).tolist() if counts else []
+def steps_left_out(state: Any) -> int:
+    """Number of skipped steps of a run, in which the loss or the weights would not have been finite."""
+    counts = optax.tree_utils.tree_get_all_with_path(state.optimizer, "count")
+    return int(state.step) - int(counts[0][1]) if counts else 0
 
 
 class RunStates:
-    """Training states on disk, those of each run in its own folder; several runs are stacked.
+    """Training states on disk, those of each run in its own folder.
 
     Args:
       task: the runs.
@@ -170,18 +168,18 @@ class RunStates:
             for run, config in task.runs.items()
         ]
 
-    def restore(self) -> Any:
-        """The states of the newest step that all runs have, or the first if there is none."""
+    def restore(self) -> list[Any]:
+        """The states of the newest step that all runs have, or the first ones if there is none."""
         common = set.intersection(*(set(checkpoints.steps()) for checkpoints in self._of_runs))
         if not common:
             for checkpoints in self._of_runs:
                 checkpoints.delete()
-        return _together([checkpoints.restore(max(common, default=None)) for checkpoints in self._of_runs])
+        return [checkpoints.restore(max(common, default=None)) for checkpoints in self._of_runs]
 
-    def save(self, state: Any) -> None:
+    def save(self, states: Sequence[Any]) -> None:
         """Save the state of each run."""
-        for checkpoints, one in zip(self._of_runs, _each_run(state), strict=True):
-            checkpoints.save(one)
+        for checkpoints, state in zip(self._of_runs, states, strict=True):
+            checkpoints.save(state)
 
     def close(self) -> None:
         """Release the folders."""
@@ -200,16 +198,6 @@ def _begun(task: Task, config: Any) -> TrainingState:
 
 def _hyperparameters(config: Any) -> Any:
     return getattr(config, "hyperparameters", None)
-
-
-def _together(runs: list[Any]) -> Any:
-    """Trees of several runs stacked, or the only one as it is: a stack of one would be copied at every step."""
-    return stacked(runs) if len(runs) > 1 else runs[0]
-
-
-def _each_run(state: Any, part: Callable[[Any], Any] = lambda state: state) -> list[Any]:
-    """A part of the state of each run."""
-    return fetched_runs(part(state)) if state.step.ndim else [first_copy(part(state))]
 
 
 class Log:
@@ -285,18 +273,6 @@ def _interrupts_noted() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _take_steps(state: Any, count: int, take_step: Callable[[Any], tuple[Any, Array]]) -> tuple[Any, list[Array], bool]:
-    """Take up to `count` steps. Returns the state, the losses, and whether Ctrl-C was pressed."""
-    losses: list[Array] = []
-    several = jax.process_count() > 1  # all take the same steps
-    with _interrupts_noted() as noted:
-        while len(losses) < count and (several or not noted):
-            state, loss = take_step(state)
-            settle(loss)
-            losses.append(loss)
-    return state, losses, bool(noted)
-
-
 def _is_used_up(state: Any) -> bool:
     """Whether the state was donated to a step that did not finish."""
     return any(isinstance(leaf, jax.Array) and leaf.is_deleted() for leaf in jax.tree.leaves(state))
@@ -308,30 +284,6 @@ def _steps_to_next_stop(task: Task, pauses: Pauses, step: int) -> int:
     if every := pauses.steps_between(task.steps):
         waits.append(every - step % every)
     return min(waits)
-
-
-def _check_finite(losses: _Losses, step: int, out: Path) -> None:
-    """Stop a run whose loss is not finite.
-
-    Raises:
-      InputError: it is not.
-    """
-    if not np.isfinite(losses):
-        raise InputError(
-            f"{out}: the loss is {losses} at step {step}; lower --learning-rate and give another --out (the last "
-            "checkpoint before it is kept)"
-        )
-
-
-def _line(run: str | None, step: int, loss: float | None, figures: Mapping[str, Any]) -> dict[str, Any]:
-    """A line of the log."""
-    known = None if loss is None or not math.isfinite(loss) else float(f"{loss:.6g}")
-    return ({"run": run} if run else {}) | {"step": step, "loss": known, **figures}
-
-
-def _figures(line: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures of a validation, from its line."""
-    return {name: value for name, value in line.items() if name not in _NO_FIGURES}
 
 
 def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None) -> list[Any]:
@@ -355,30 +307,26 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
     """
     alone, log, mesh = "" in task.runs, Log(out), mesh_for_batch(task.training.batch_size, len(task.runs))
     names = [run or None for run in task.runs]
-    numbers = _together([_hyperparameters(config) for config in task.runs.values()])
+    numbers = _together([_hyperparameters(config) for config in task.runs.values()], mesh)
     data, numbers = replicate((task.data, numbers), mesh)
-    take_step = functools.partial(
-        supervised_step, data=data, hyperparameters=numbers, training=task.training, mesh=mesh
-    )
-    losses: _Losses | None = None
+    losses: np.ndarray | None = None  # means of each run since the last fetch
     saved, last_save = -1, time.monotonic()
 
-    def take_steps(state: Any, count: int) -> tuple[Any, list[Array], bool]:
-        if not (state.step.ndim and platform(mesh) == "cpu"):
-            return _take_steps(state, count, take_step)
-        # A CPU takes the runs one after another, so they are only stacked again at the end.
-        states, own_numbers = zip(*replicate(unstacked((state, numbers)), mesh), strict=True)
-
-        def take_step_of_each(states: Any) -> tuple[Any, Array]:
-            pairs = zip(states, own_numbers, strict=True)
-            after, losses = zip(*(take_step(one, hyperparameters=own) for one, own in pairs), strict=True)
-            return after, stacked(list(losses))
-
-        states, losses, interrupted = _take_steps(states, count, take_step_of_each)
-        return stacked(list(states)), losses, interrupted
+    def take_steps(states: Sequence[Any], count: int) -> tuple[Sequence[Any], list[Any], bool]:
+        """Take up to `count` steps; the states, the losses, and whether Ctrl-C was pressed."""
+        taken: list[Any] = []
+        several = jax.process_count() > 1  # all take the same steps
+        with _interrupts_noted() as noted:
+            while len(taken) < count and (several or not noted):
+                each = zip(states, numbers, strict=True)
+                step = functools.partial(supervised_step, data=data, training=task.training, mesh=mesh)
+                states, of_step = zip(*(step(one, hyperparameters=own) for one, own in each), strict=True)
+                settle(of_step)
+                taken.append(of_step)
+        return states, taken, bool(noted)
 
     def trained() -> list[Any]:
-        return _each_run(state, lambda state: state.trained)
+        return _each_run(states, lambda state: state.trained)
 
     def save_networks(weights: Sequence[Any], figures: Sequence[Mapping[str, Any]]) -> None:
         for run, one, of_run in zip(task.runs, weights, figures, strict=True):
@@ -386,13 +334,16 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
 
     def validate() -> None:
         bar.set_description("validate")
-        weights = trained()
+        each = _each_run(states)
+        weights = [one.trained for one in each]
         figures = [task.validate(one, step) for one in weights]
         save_networks(weights, figures)
-        each = [None] * len(names) if losses is None else np.atleast_1d(losses).tolist()
-        lines = [_line(run, step, loss, of_run) for run, loss, of_run in zip(names, each, figures, strict=True)]
-        if not alone and (left_out := steps_left_out(state)):
-            lines = [line | {"steps_left_out": count} for line, count in zip(lines, left_out, strict=True)]
+        lines, last = [], [None] * len(each) if losses is None else losses
+        for run, one, loss, of_run in zip(names, each, last, figures, strict=True):
+            known = None if loss is None or not math.isfinite(loss) else float(f"{loss:.6g}")
+            lines.append({**({"run": run} if run else {}), "step": step, "loss": known, **of_run})
+            if not alone:
+                lines[-1]["steps_left_out"] = steps_left_out(one)
         log.write(*lines)
         curve.add(step, figures, "validation/")
         if alone:
@@ -404,11 +355,9 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
     def look() -> None:
         figures: list[dict[str, float]] = [{} for _ in names]
         if losses is not None:
-            rates = jnp.asarray(task.training.learning_rate(numbers)(step - 1))
-            columns = {"loss": losses, "learning_rate": fetch(rates)}
-            for name, values in columns.items():
-                for own, value in zip(figures, np.broadcast_to(values, len(names)).tolist(), strict=True):
-                    own[name] = value
+            rates = [fetch(jnp.asarray(task.training.learning_rate(own)(step - 1))) for own in numbers]
+            columns = np.broadcast_arrays(losses, np.hstack(rates))
+            figures = [{"loss": loss, "learning_rate": rate} for loss, rate in np.transpose(columns).tolist()]
             curve.add(step, figures)
         if task.recording is not None:
             task.recording.look(step, figures[0], trained()[0])
@@ -420,7 +369,7 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
         nonlocal saved, last_save
         with _interrupts_noted() as noted:  # an interrupted save would leave an incomplete state
             saved = step
-            checkpoints.save(state)
+            checkpoints.save(_each_run(states))
         last_save = time.monotonic()
         if noted:
             raise KeyboardInterrupt
@@ -430,28 +379,32 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
         contextlib.closing(RunStates(task, out)) as checkpoints,
         contextlib.closing(Curve(out, tuple(filter(None, names)), track)) as curve,
     ):
-        state: Any = placed(checkpoints.restore(), mesh)
-        step = int(np.max(fetch(state.step)))
+        states: Sequence[Any] = [placed(one, mesh) for one in _together(checkpoints.restore(), mesh)]
+        step = int(np.max(fetch(states[0].step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:
             try:
                 if pauses.validates(step, task.steps):
                     lines = [log.by_step(run).get(step) for run in names]
                     if all(lines):  # the networks may be gone
-                        save_networks(trained(), [_figures(line) for line in lines if line])
+                        known = [line.items() for line in lines if line]
+                        save_networks(trained(), [{k: v for k, v in one if k not in _NO_FIGURES} for one in known])
                     else:
                         validate()
                 if step < task.steps:
                     look()
                 while step < task.steps:
                     count = _steps_to_next_stop(task, pauses, step)
-                    state, each, interrupted = take_steps(state, count)
-                    if each:
-                        losses = np.asarray(np.mean([np.asarray(loss) for loss in each], axis=0))
-                        step += len(each)
+                    states, taken, interrupted = take_steps(states, count)
+                    if taken:
+                        losses = np.mean([np.hstack(of_step) for of_step in taken], axis=0)
+                        step += len(taken)
                         bar.set_postfix(loss=f"{np.mean(losses):.4f}", refresh=False)
-                        bar.update(len(each))
-                        if alone:
-                            _check_finite(losses, step, out)
+                        bar.update(len(taken))
+                        if alone and not np.isfinite(losses[0]):
+                            raise InputError(
+                                f"{out}: the loss is {losses[0]} at step {step}; lower --learning-rate and give "
+                                "another --out (the last checkpoint before it is kept)"
+                            )
                     if in_any_process(interrupted):
                         raise KeyboardInterrupt
                     look()
@@ -463,7 +416,7 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
                     save()
             except KeyboardInterrupt:
                 # A second Ctrl-C may interrupt a step, which leaves no state to save.
-                if saved != step and not _is_used_up(state):
+                if saved != step and not _is_used_up(states):
                     save()
                 raise
     return trained()

@@ -1,5 +1,8 @@
 """Losses between an estimated distribution of the cost-to-go and the exact value, for each cell."""
 
+import functools
+import hashlib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -9,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.runtime.errors import InputError, short
 from dc2g_jax._src.runtime.own_parts import own_part
 
@@ -19,6 +23,9 @@ _Levels = Float[Array, "quantiles"]
 
 #: `(estimate, target, levels) ->` loss of each estimate, in units of the network's cost scale.
 Loss = Callable[[_Estimate, _Target, _Levels], _Estimate]
+
+#: Arrays for which losses are checked.
+_GIVEN = tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((2, 3, 5), (2, 3, 1), (5,)))
 
 #: The Huber loss is quadratic up to this error, in cost scales.
 _HUBER_BEND = 0.25
@@ -76,19 +83,27 @@ def checked_loss(name: str, loss: Any) -> Loss:
     Raises:
       InputError: it cannot be called or is not one number for each estimate.
     """
-    shapes = (2, 3, 5), (2, 3, 1), (5,)
-    given = f"arrays of shapes {short(shapes)}"
+    given = f"arrays of shapes {short(tuple(one.shape for one in _GIVEN))}"
     remedy = "give a function of estimate, target and levels that returns one number for each estimate"
     try:
-        answer = jax.eval_shape(loss, *(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes))
+        answer = jax.eval_shape(loss, *_GIVEN)
     except Exception as error:  # whatever the user's function raises
         raise InputError(
             f"loss {name!r}: cannot be called with {given} ({type(error).__name__}: {error}); {remedy}"
         ) from error
     found = jax.tree.map(lambda leaf: leaf.shape, answer)
-    if found != shapes[0]:
+    if found != _GIVEN[0].shape:
         raise InputError(f"loss {name!r}: answers with shape {short(found)} for {given}; {remedy}")
     return loss
+
+
+@functools.cache
+def loss_sha256(loss: Loss) -> str:
+    """A digest of what a loss and its gradient compute, however the code is written."""
+    both = jax.value_and_grad(lambda *given: jnp.sum(loss(*given)), argnums=(0, 1, 2))
+    traced = jax.make_jaxpr(both)(*_GIVEN)
+    text = re.sub(" at 0x[0-9a-f]+", "", str(traced))  # where functions are in memory
+    return hashlib.sha256(f"{text} {arrays_sha256(traced.consts)}".encode()).hexdigest()
 
 
 def parse_losses(text: str) -> tuple[tuple[str, float], ...]:

@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.sensing import Kernel, covered, field_of_view, kernel_ru
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, Ask, Assessment, Planner, PlannerLike
 from dc2g_jax._src.planning.rules import Rules, nearest_goal
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import jit
@@ -97,13 +97,11 @@ class _Guess(Estimator):
     informed: Bool[Array, ""]
 
     def init(self, world: World) -> Float[Array, "h w *batch"]:
-        """The cost-to-go of the whole map."""
         return world_cost_to_go(world)
 
     def estimate(
         self, terrain: UInt8[Array, "h w *batch"], state: Float[Array, "h w *batch"]
     ) -> Float[Array, "1 h w *batch"]:
-        """The values of the whole map."""
         costs = ExactCostToGo(self.log_error).estimate(terrain, state)
         return jnp.where(self.informed, costs, 0.0)
 
@@ -132,19 +130,15 @@ class _Leader(Planner):
         return belief_of(belief, belief.pose, belief.steps, seen), planner_state
 
     def init(self, world: World) -> tuple[Board, Any]:
-        """Nothing has been seen."""
         return jnp.zeros_like(world.traversable), self._planner.init(world)
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
-        """As `DC2G` does."""
         return self._planner.look(*self._own(belief, state))
 
     def ask(self, belief: Belief, state: Any) -> Float[Array, "h w *batch"]:
-        """As `DC2G` does."""
         return self._planner.ask(*self._own(belief, state))
 
     def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
-        """As `DC2G` does."""
         own, planner_state = self._own(belief, state)
         assessment, planner_state = self._planner.conclude(own, planner_state, looked, lambda *_: ask(belief, state))
         return assessment, (own.seen, planner_state)
@@ -228,7 +222,7 @@ def moments_along(
 
 @functools.partial(jit, static_argnames=("mesh", "sensing"))
 def _moments(
-    dealt: tuple[Episodes, Int8[Array, "devices own t"], Int[Array, "devices own k"]],
+    dealt: tuple[Int[Array, "devices own"], Pose, Int8[Array, "devices own t"], Int[Array, "devices own k"]],
     worlds: World,
     view: View | None,
     *,
@@ -237,11 +231,10 @@ def _moments(
 ) -> Moments:
     """What was seen in episodes, from their actions, at some of their moments."""
 
-    def own(part: tuple[Episodes, Array, Array], worlds: World, view: View | None) -> Moments:
-        episodes, actions, times = part
-        own_worlds = jax.tree.map(lambda leaf: leaf[..., episodes.world], worlds)
+    def own(part: tuple[Array, Pose, Array, Array], worlds: World, view: View | None) -> Moments:
+        own_worlds = jax.tree.map(lambda leaf: leaf[..., part[0]], worlds)
         along = jax.vmap(functools.partial(moments_along, sensing=view or sensing), in_axes=(-1, 0, 0, 0))
-        return along(own_worlds, episodes.start, actions, times)
+        return along(own_worlds, *part[1:])
 
     return on_each(own, mesh, dealt, worlds, view)
 
@@ -249,7 +242,8 @@ def _moments(
 def collect_masks(
     planner: PlannerLike,
     worlds: World,
-    episodes: Episodes,
+    index: Int[Array, "episodes"],
+    start: Pose,
     *,
     sensing: Kernel,
     per_episode: int,
@@ -262,27 +256,28 @@ def collect_masks(
     Args:
       planner: planner of the robots.
       worlds: stack of worlds of one size.
-      episodes: world index and first pose of each episode; at least one.
+      index: index of each episode's world, of one at least.
+      start: first pose of each episode.
       sensing: field of view of the robots.
       per_episode: moments sampled from each episode; those with a reachable goal are dropped.
       seed: seed of the moments.
       view: field of view of planners which have their own, see `leading_planners`; `None` for `sensing`.
       step_limit: actions after which an episode ends.
     """
-    done = rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit)
+    done = rollout(planner, worlds, index, start, sensing=sensing, step_limit=step_limit)
     rng = np.random.default_rng(seed)
-    times = (rng.random((len(episodes), per_episode)) * done.steps[:, None]).astype(np.int32)
+    times = (rng.random((len(index), per_episode)) * done.steps[:, None]).astype(np.int32)
     boards, owners, mesh = [], [], mesh_of()
     worlds = replicate(worlds, mesh)
-    for first in range(0, len(episodes), _EPISODES_PER_CALL):
+    episodes = index, start, done.actions, times
+    for first in range(0, len(index), _EPISODES_PER_CALL):
         # The last call repeats the last episode, so that all calls have the same shape.
-        part = np.minimum(np.arange(first, first + _EPISODES_PER_CALL), len(episodes) - 1)
+        part = np.minimum(np.arange(first, first + _EPISODES_PER_CALL), len(index) - 1)
         some = jax.tree.map(lambda leaf, part=part: leaf[part], episodes)
-        dealt = deal((some, done.actions[part], times[part]), len(part), mesh)
-        moments = gather(_moments(dealt, worlds, view, mesh=mesh, sensing=sensing), len(part))
-        keep = moments.exploring & (np.arange(first, first + len(part)) < len(episodes))[:, None]
+        moments = gather(_moments(deal(some, len(part), mesh), worlds, view, mesh=mesh, sensing=sensing), len(part))
+        keep = moments.exploring & (np.arange(first, first + len(part)) < len(index))[:, None]
         boards.append(moments.seen[keep])
-        owners.append(np.broadcast_to(np.asarray(some.world)[:, None], keep.shape)[keep])
+        owners.append(np.broadcast_to(np.asarray(some[0])[:, None], keep.shape)[keep])
     return Masks(boards=np.concatenate(boards), world=np.concatenate(owners))
 
 

@@ -1,9 +1,6 @@
 """Training pairs: masked maps and their exact cost-to-go (Algorithm 1)."""
 
-import dataclasses
-import functools
 import math
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +8,6 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax._src.grid import bitboard
-
-#: `(key, observed map) -> noisy map`.
-Degrade = Callable[[Array, UInt8[Array, "h w"]], UInt8[Array, "h w"]]
 
 #: Number of rotations and reflections of a square map.
 SYMMETRY_COUNT = 8
@@ -145,47 +139,3 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
     )
     change = jax.random.bernoulli(chance)
     return jax.tree.map(lambda new, old: jnp.where(change, new, old), changed, pair)
-
-
-def draw_pairs(
-    key: Array,
-    data: TrainingSet,
-    *,
-    batch_size: int,
-    own_share: float,
-    edge_weight: float,
-    jitter: float,
-    whole_share: float,
-    half_weight_cost: float = math.inf,
-    degrade: Degrade | None = None,
-) -> Pair:
-    """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
-
-    Args:
-      key: PRNG key.
-      data: labels and masks.
-      batch_size: number of pairs.
-      own_share: probability that a pair is of one of the dataset's own houses; ignored if there are masks of one kind
-        only.
-      edge_weight: see `make_pair`.
-      jitter: see `jittered`; 0 for none.
-      whole_share: probability that the whole map is observed.
-      half_weight_cost: see `make_pair`.
-      degrade: noise of observed maps, such as that of a camera; `None` for none.
-    """
-    which, place, turn, change, lift, noise = jax.random.split(key, 6)
-    count = len(data.mask_world)
-    own = (jax.random.uniform(which, (batch_size,)) < own_share) & (data.n_own > 0) | (data.n_own == count)
-    low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
-    position = jax.random.uniform(place, (batch_size,))
-    index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
-    symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRY_COUNT)
-    whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
-    make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
-    pairs = jax.vmap(make)(index, symmetry, whole)
-    if degrade is not None:
-        keys = jax.random.split(noise, batch_size)
-        pairs = dataclasses.replace(pairs, terrain=jax.vmap(degrade)(keys, pairs.terrain))
-    if not jitter:
-        return pairs
-    return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

@@ -1,7 +1,6 @@
 """One optimizer step: the state of a training, the update of its weights, and the step on a batch of all devices."""
 
 import functools
-import operator
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -12,7 +11,7 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from dc2g_jax._src.runtime.devices import RUNS, divide, platform, replicate, settle
+from dc2g_jax._src.runtime.devices import RUNS, divide, settle
 from dc2g_jax._src.runtime.programs import jit
 
 
@@ -133,12 +132,6 @@ def learn(
 
 
 @jit
-def unstacked(runs: Any) -> list[Any]:
-    """The tree of each of several stacked runs."""
-    return [jax.tree.map(operator.itemgetter(run), runs) for run in range(len(jax.tree.leaves(runs)[0]))]
-
-
-@jit
 def stacked(runs: list[Any]) -> Any:
     """Trees of several runs as one, with the runs on the first axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *runs)
@@ -149,11 +142,11 @@ def supervised_step(
 ) -> tuple[TrainingState, Float[Array, "*runs"]]:
     """Take one optimizer step of one run, or of several whose states are stacked. The old state is donated.
 
-    The batch is divided among the devices of a mesh, and so are the runs, which a CPU takes one after another, see
-    `runtime.devices.mesh_for_batch`. A batch only depends on the data, the hyperparameters and the number of the step,
-    so interrupted and resumed training gives the same weights as training without interruption on the same devices.
-    With another number of devices, a step differs by rounding. Steps are not combined into a longer program: inside a
-    `scan`, XLA's CPU backend computes gradients of convolutions about ten times slower.
+    The batch is divided among the devices of a mesh, and so are the runs, see `runtime.devices.mesh_for_batch`. A batch
+    only depends on the data, the hyperparameters and the number of the step, so interrupted and resumed training gives
+    the same weights as training without interruption on the same devices. With another number of devices, a step
+    differs by rounding. Steps are not combined into a longer program: inside a `scan`, XLA's CPU backend computes
+    gradients of convolutions about ten times slower.
 
     If the loss or a weight of a run would not be finite, its state is kept, but for the number of steps, and its loss
     is NaN.
@@ -168,11 +161,6 @@ def supervised_step(
     Returns:
       The new state and the loss, or those of each run.
     """
-    if state.step.ndim and platform(mesh) == "cpu":
-        # Its cores are busy with one run, and convolutions over a stack of weights are slower.
-        step = functools.partial(supervised_step, data=data, training=training, mesh=mesh)
-        runs = replicate(unstacked((state, hyperparameters)), mesh)
-        return stacked([step(one, hyperparameters=numbers) for one, numbers in runs])
     batch = draw_batches(state, data, hyperparameters, training=training, mesh=mesh)
     settle(batch)
     new = learn(state, batch, hyperparameters, training=training)

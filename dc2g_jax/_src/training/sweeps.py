@@ -7,9 +7,9 @@ import itertools
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,13 +40,8 @@ from dc2g_jax._src.training.train import (
     train_runs,
 )
 
-_Run = TypeVar("_Run")
-
-#: A loss by name or as a weighted sum, see `parse_losses`; a function; or a function with a name.
-LossSource = str | Loss | tuple[str, Loss]
-
-#: Several of them; or functions and sums by name.
-LossSources = Iterable[LossSource] | Mapping[str, str | Loss]
+#: Losses by name or as weighted sums, see `parse_losses`; functions, perhaps with names; or functions and sums by name.
+LossSources = Iterable[str | Loss | tuple[str, Loss]] | Mapping[str, str | Loss]
 
 #: A sweep by default: a short training of each run.
 SWEEP = TrainingConfig(steps=2000)
@@ -178,69 +173,27 @@ def runs_of_grid(
     return runs
 
 
-def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, TrainingConfig]]:
-    """Group runs whose networks have the same shape, so that they can be trained together.
+def group_by_shape(runs: Mapping[str, TrainingConfig], at_once: int) -> list[dict[str, TrainingConfig]]:
+    """Group runs whose networks have the same shape, so that they can be trained together, at most `at_once` of them.
 
     All runs of a group get the same losses; those that a run does not use have weight 0. Groups are in the order of
     their first runs.
+
+    Raises:
+      InputError: `at_once` is less than 1.
     """
+    check_number("--runs-at-once", at_once, whole=True, least=1)
     names = list(dict.fromkeys(name for config in runs.values() for name, _ in config.losses))
     groups: dict[TrainingConfig, dict[str, TrainingConfig]] = {}
     for run, config in runs.items():
         weights = dict(config.losses)
         whole = dataclasses.replace(config, losses=tuple((name, weights.get(name, 0.0)) for name in names))
         groups.setdefault(whole.recipe, {})[run] = whole
-    return list(groups.values())
-
-
-def in_turns(runs: Mapping[str, _Run], at_once: int) -> list[dict[str, _Run]]:
-    """Split runs, in order, into groups of at most `at_once`.
-
-    Raises:
-      InputError: `at_once` is less than 1.
-    """
-    check_number("--runs-at-once", at_once, whole=True, least=1)
-    names = list(runs)
-    turns = [names[first : first + at_once] for first in range(0, len(names), at_once)]
-    return [{name: runs[name] for name in turn} for turn in turns]
-
-
-def check_sweep(
-    dataset: HouseDataset | str | os.PathLike[str] | None = None,
-    *,
-    losses: LossSources = tuple(LOSSES),
-    seeds: Sequence[int] = (0, 1, 2),
-    learning_rates: Sequence[float] | None = None,
-    widths: Sequence[Sequence[int]] | None = None,
-    config: TrainingConfig = SWEEP,
-    data: DataConfig | None = None,
-    pauses: Pauses = PAUSES,
-    split: str | None = "val",
-    runs_at_once: int = 64,
-    track: TrackerName | None = None,
-) -> list[Plan]:
-    """Check the arguments of `sweep`, without computing or writing anything.
-
-    Returns:
-      The runs that are trained together, in turn.
-
-    Raises:
-      InputError: see `sweep`.
-    """
-    sums, own_losses = named_losses(losses)
-    runs = runs_of_grid(
-        config,
-        losses=sums,
-        learning_rates=learning_rates or (config.learning_rate,),
-        widths=widths or (config.architecture.widths,),
-        seeds=seeds,
-    )
-    turns = [turn for group in group_by_shape(runs) for turn in in_turns(group, runs_at_once)]
-    plan = checked(
-        dataset, {run: one for turn in turns for run, one in turn.items()}, data=data, pauses=pauses, split=split,
-        track=track, validated=True, own_losses=own_losses, at_once=runs_at_once,
-    )  # fmt: skip
-    return [plan._replace(runs={run: plan.runs[run] for run in turn}) for turn in turns]
+    return [
+        dict(itertools.islice(group.items(), first, first + at_once))
+        for group in groups.values()
+        for first in range(0, len(group), at_once)
+    ]
 
 
 def sweep(
@@ -259,6 +212,7 @@ def sweep(
     track: TrackerName | None = None,
     picture: Picture | None = None,
     card: Mapping[str, Any] | None = None,
+    begin: Callable[[], object] | None = None,
 ) -> Sweep:
     """Train a network with every combination of losses, learning rates, widths and seeds, and compare them.
 
@@ -292,38 +246,47 @@ def sweep(
       track: see `train`.
       picture: see `train`.
       card: see `train`.
+      begin: see `train`.
 
     Raises:
       InputError: a value is invalid, the dataset cannot be trained on, or the folder holds a sweep with other settings.
     """
     keep_compiled_programs()
     out = Path(out)
-    turns = check_sweep(
-        dataset, losses=losses, seeds=seeds, learning_rates=learning_rates, widths=widths, config=config, data=data,
-        pauses=pauses, split=split, runs_at_once=runs_at_once, track=track,
+    sums, own_losses = named_losses(losses)
+    runs = runs_of_grid(
+        config,
+        losses=sums,
+        learning_rates=learning_rates or (config.learning_rate,),
+        widths=widths or (config.architecture.widths,),
+        seeds=seeds,
+    )
+    grouped = group_by_shape(runs, runs_at_once)
+    plan = checked(
+        dataset, {run: one for turn in grouped for run, one in turn.items()}, data=data, pauses=pauses, split=split,
+        track=track, validated=True, own_losses=own_losses, at_once=runs_at_once,
     )  # fmt: skip
-    plan, runs = turns[0], {run: config for turn in turns for run, config in turn.runs.items()}
+    turns = [plan._replace(runs={run: plan.runs[run] for run in turn}) for turn in grouped]
+    if begin is not None:
+        begin()
     opened = functools.cache(lambda: (pairs_to_validate(plan), open_training_set(out, plan.dataset, plan.data)))
     networks: dict[str, NetworkCostToGo] = {}
+
+    def validate(network: NetworkCostToGo, step: int) -> dict[str, float]:
+        return {"error": error_on(opened()[0], network)}
+
     for turn in turns:
         found: Sequence[NetworkCostToGo | None] = [finished_network(out, turn, run) for run in turn.runs]
         if None in found:
-            pairs, training_set = opened()
-            validate = functools.partial(_error_now, pairs)
             found = train_runs(
-                out, turn, training_set, validate, card=card or {}, pauses=pauses, track=track, picture=picture,
-                name=f"{len(turn.runs)} runs",
-            )  # fmt: skip
+                out, turn, opened()[1], validate, card=card or {}, picture=picture, name=f"{len(turn.runs)} runs"
+            )
         networks |= {run: network for run, network in zip(turn.runs, found, strict=True) if network is not None}
     extra = {} if split is None else _episodes(out, plan.dataset, split, networks)
-    result = _result(out, plan, runs, networks, extra)
+    result = _result(out, plan, networks, extra)
     rows = sorted(result.table, key=lambda row: (row["steps_left_out"] > 0, _quality(row)))
     write_table(out / "results.csv", list(rows[0]), (list(row.values()) for row in rows))
     return result
-
-
-def _error_now(pairs: Any, network: NetworkCostToGo, step: int) -> dict[str, float]:
-    return {"error": error_on(pairs, network)}
 
 
 def _episodes(
@@ -338,21 +301,17 @@ def _episodes(
             raise InputError(f"{path}: {run} has {short(found[run])}, no figures; {remedy}")
         if run not in found:
             summary = evaluate(["dc2g"], dataset, split=split, network=network, progress=False).summary()["dc2g"]
-            found[run] = {"mean_extra": round(summary.mean_extra, 2), "median_extra": round(summary.median_extra, 2)}
+            found[run] = {name: round(summary[name], 2) for name in ("mean_extra", "median_extra")}
             write_json(path, found)
     return found
 
 
 def _result(
-    out: Path,
-    plan: Plan,
-    runs: Mapping[str, TrainingConfig],
-    networks: Mapping[str, NetworkCostToGo],
-    extra: Mapping[str, Mapping[str, float]],
+    out: Path, plan: Plan, networks: Mapping[str, NetworkCostToGo], extra: Mapping[str, Mapping[str, float]]
 ) -> Sweep:
     """The result of a sweep, from its log. Multiply-accumulates are for one map of the dataset."""
-    logs = {run: Log(out).by_step(run, ("error", "steps_left_out")) for run in runs}
-    architectures = dict.fromkeys(config.architecture for config in runs.values())
+    logs = {run: Log(out).by_step(run, ("error", "steps_left_out")) for run in plan.runs}
+    architectures = dict.fromkeys(config.architecture for config in plan.runs.values())
     macs = {one: multiply_accumulates(one, *plan.dataset.houses[0].terrain.shape) for one in architectures}
     table = tuple(
         {
@@ -367,7 +326,7 @@ def _result(
             "error": logs[run][config.steps]["error"],
             **extra.get(run, {}),
         }
-        for run, config in runs.items()
+        for run, config in plan.runs.items()
     )
     steps = np.array(sorted(set.intersection(*(set(log) for log in logs.values()))))
     curves = np.array([[log[step]["error"] for step in steps] for log in logs.values()])

@@ -157,13 +157,10 @@ class Curve:
         self._told = {key: {name for name, value in row.items() if value} for key, row in self._rows.items()}
         self._trackers: list[Tracker] = []
         if track is not None and jax.process_index() == 0:
-            self._trackers = [_TRACKERS[track](out / track, run, self._config(out, run)) for run in self._runs]
-
-    @staticmethod
-    def _config(out: Path, run: str) -> dict[str, Any]:
-        """The configuration of a run, as saved with its checkpoints."""
-        path = run_folder(out, run) / "config.json"
-        return read_object(path, "give another folder") if path.exists() else {}
+            for run in self._runs:
+                saved = run_folder(out, run) / "config.json"  # beside its checkpoints
+                config = read_object(saved, "give another folder") if saved.exists() else {}
+                self._trackers.append(_TRACKERS[track](out / track, run, config))
 
     def add(self, step: int, figures: Sequence[Mapping[str, Any]], group: str = "") -> None:
         """Add the figures of a step, and write the table.

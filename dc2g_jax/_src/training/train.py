@@ -30,7 +30,7 @@ from dc2g_jax._src.training.cost_to_go_data import (
     validation_pairs,
 )
 from dc2g_jax._src.training.loop import PAUSES, Pauses, Recording, Task, fit
-from dc2g_jax._src.training.losses import Loss, losses_as_text, named_loss
+from dc2g_jax._src.training.losses import LOSSES, Loss, loss_sha256, losses_as_text, named_loss
 from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
@@ -60,24 +60,30 @@ class Plan(NamedTuple):
       dataset: the houses.
       runs: the configuration of each run by its name, for maps of the dataset's size.
       data: houses and masks.
-      own_losses: losses that only this program knows, by their names in the configurations.
+      losses: losses by their names in the configurations.
+      pauses: when to validate and to save.
+      track: tracker to send the curves to.
       after: place of the network that the runs begin with.
     """
 
     dataset: HouseDataset
     runs: Mapping[str, TrainingConfig]
     data: DataConfig
-    own_losses: Mapping[str, Loss]
+    losses: Mapping[str, Loss]
+    pauses: Pauses
+    track: TrackerName | None
     after: str | None = None
 
     @property
     def facts(self) -> dict[str, Any]:
         """What must be the same to resume the runs, beside their configurations."""
+        own = {name: loss_sha256(loss) for name, loss in self.losses.items() if name not in LOSSES}
         return {
             "data": dataclasses.asdict(self.data),
             "after": self.after,
             "dataset": self.dataset.name,
             "parts": self.recipe.parts,
+            **({"losses_sha256": own} if own else {}),
         }
 
     @property
@@ -107,14 +113,12 @@ def checked(
     Raises:
       InputError: something is invalid.
     """
-    own_losses = own_losses or {}
     pauses.check_pauses()
     check_tracker(track)
     if split is not None:
         check_name("split", split, ("train", "val", "test"))
-    for name in dict.fromkeys(name for config in runs.values() for name, _ in config.losses):
-        if name not in own_losses:
-            named_loss(name)
+    names = dict.fromkeys(name for config in runs.values() for name, _ in config.losses)
+    losses = {name: (own_losses or {}).get(name) or named_loss(name) for name in names}
     if not isinstance(dataset, HouseDataset):
         dataset = open_dataset(dataset)
     shape = dataset.houses[0].terrain.shape
@@ -131,7 +135,7 @@ def checked(
     check_houses(dataset, extra=data.extra_houses or 0, drawn=drawn, validated=validated)
     if split is not None:
         usable_houses(dataset, split, instead="use another split")
-    return Plan(dataset, sized, data, own_losses)
+    return Plan(dataset, sized, data, losses, pauses, track)
 
 
 def train_runs(
@@ -141,8 +145,6 @@ def train_runs(
     validate: Callable[[NetworkCostToGo, int], Mapping[str, Any]],
     *,
     card: Mapping[str, Any],
-    pauses: Pauses,
-    track: TrackerName | None,
     picture: Picture | None,
     **options: Any,
 ) -> list[NetworkCostToGo]:
@@ -171,7 +173,7 @@ def train_runs(
         save_network(folder / "network", network_of(weights), {**made, **card, **figures})
 
     task = Task(
-        training=CostToGoTraining(recipe, plan.data.draw_batch, tuple(plan.own_losses.items())),
+        training=CostToGoTraining(recipe, plan.data.draw_batch, tuple(plan.losses.items())),
         data=data,
         runs=plan.runs,
         steps=recipe.steps,
@@ -181,7 +183,7 @@ def train_runs(
         picture=None if picture is None else lambda weights: picture(network_of(weights)),
         **options,
     )
-    return [network_of(weights) for weights in fit(task, out, pauses, track)]
+    return [network_of(weights) for weights in fit(task, out, plan.pauses, plan.track)]
 
 
 def pairs_to_validate(plan: Plan) -> Any:
@@ -227,36 +229,6 @@ def _network_to_begin_with(
     return network, read_object(folder / CARD, "give another network")
 
 
-def check_training(
-    dataset: HouseDataset | str | os.PathLike[str] | None = None,
-    *,
-    config: TrainingConfig | None = None,
-    data: DataConfig | None = None,
-    pauses: Pauses = PAUSES,
-    episodes_every: int = EPISODES_EVERY,
-    after: str | os.PathLike[str] | None = None,
-    split: str | None = "val",
-    track: TrackerName | None = None,
-) -> tuple[Plan, NetworkCostToGo | None, dict[str, Any]]:
-    """Check the arguments of `train`, without computing or writing anything.
-
-    Returns:
-      The plan of the only run; and the network to begin with, if any, with its card.
-
-    Raises:
-      InputError: see `train`.
-    """
-    config = config or TrainingConfig()
-    check_number("--episodes-every", episodes_every, whole=True, least=0, hint="steps (0 for none)")
-    validated = pauses.steps_between(config.steps) > 0
-    plan = checked(
-        dataset, {"": config}, data=data, pauses=pauses, split=split, track=track, validated=validated,
-        drawn=validated and 0 < episodes_every <= config.steps,
-    )  # fmt: skip
-    network, before = (None, {}) if after is None else _network_to_begin_with(after, plan.recipe.architecture)
-    return plan._replace(after=None if after is None else str(after)), network, before
-
-
 def train(
     out: str | os.PathLike[str],
     dataset: HouseDataset | str | os.PathLike[str] | None = None,
@@ -268,9 +240,10 @@ def train(
     after: str | os.PathLike[str] | None = None,
     split: str | None = "val",
     track: TrackerName | None = None,
-    recording: Recording | None = None,
+    recording: Callable[[], Recording] | None = None,
     picture: Picture | None = None,
     card: Mapping[str, Any] | None = None,
+    begin: Callable[[], object] | None = None,
 ) -> Trained:
     """Train a cost-to-go network with pairs of partial maps and exact cost-to-go (Algorithm 1), and evaluate it.
 
@@ -296,9 +269,10 @@ def train(
       split: split of the houses to evaluate in at the end, ten starts in each: `train`, `val` or `test`; `None` for no
         evaluation.
       track: tracker to send curves and pictures to: `tensorboard`, `wandb` or `trackio`.
-      recording: shows the training, see `dc2g_jax.training.Recording`.
+      recording: makes what shows the training, a `dc2g_jax.training.Recording`; not called if all steps are taken.
       picture: makes the pictures for the tracker.
       card: further facts for the card of the network.
+      begin: called when all is checked, before anything is computed or written.
 
     Raises:
       InputError: a setting is invalid, the dataset cannot be trained on, or the folder holds a training with other
@@ -306,19 +280,26 @@ def train(
     """
     keep_compiled_programs()
     out = Path(out)
-    plan, begin_with, before = check_training(
-        dataset, config=config, data=data, pauses=pauses, episodes_every=episodes_every, after=after, split=split,
-        track=track,
+    config = config or TrainingConfig()
+    check_number("--episodes-every", episodes_every, whole=True, least=0, hint="steps (0 for none)")
+    validates = pauses.steps_between(config.steps) > 0
+    runs_episodes = validates and 0 < episodes_every <= config.steps
+    plan = checked(
+        dataset, {"": config}, data=data, pauses=pauses, split=split, track=track, validated=validates,
+        drawn=runs_episodes,
     )  # fmt: skip
     config, dataset = plan.recipe, plan.dataset
+    begin_with: NetworkCostToGo | None = None
+    if after is not None:
+        begin_with, before = _network_to_begin_with(after, config.architecture)
+        plan, card = plan._replace(after=str(after)), {"after": before, **(card or {})}
+    if begin is not None:
+        begin()
     network = finished_network(out, plan, "")
     if network is None:
-        validates = pauses.steps_between(config.steps) > 0
         # These raise for unsuitable houses before minutes of data collection.
         pairs = pairs_to_validate(plan) if validates else None
-        episodes = None
-        if validates and 0 < episodes_every <= config.steps:
-            episodes = Validation(dataset, progress=EpisodeProgress(leave=False))
+        episodes = Validation(dataset, progress=EpisodeProgress(leave=False)) if runs_episodes else None
 
         def validate(network: NetworkCostToGo, step: int) -> dict[str, Any]:
             figures = {} if pairs is None else {"error": error_on(pairs, network)}
@@ -326,8 +307,9 @@ def train(
 
         (network,) = train_runs(
             out, plan, open_training_set(out, dataset, plan.data, begin_with), validate,
-            card={**({"after": before} if before else {}), **(card or {})}, pauses=pauses, track=track,
-            picture=picture, recording=recording, begin_with=None if begin_with is None else begin_with.weights,
+            card=card or {}, picture=picture,
+            recording=recording() if recording is not None and newest_step(out) < config.steps else None,
+            begin_with=None if begin_with is None else begin_with.weights,
         )  # fmt: skip
     return Trained(
         network, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=network)

@@ -87,7 +87,7 @@ def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
     masks = collect_masks(
         Frontier(rules=rules),
         stack_worlds(houses),
-        episodes_from(starts, {house.name: number for number, house in enumerate(houses)}),
+        *episodes_from(starts, {house.name: number for number, house in enumerate(houses)}),
         sensing=rules.sensing,
         per_episode=4,
         seed=0,

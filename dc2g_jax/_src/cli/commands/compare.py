@@ -1,8 +1,8 @@
 """Compare planners in families of maps: `dc2g compare`."""
 
 import dataclasses
+import datetime
 import itertools
-import json
 import re
 import time
 from collections import Counter
@@ -14,7 +14,7 @@ import tyro
 from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
-from dc2g_jax._src.cli.outputs import RUN_FILE, output_folder, print_files
+from dc2g_jax._src.cli.outputs import command_written, output_folder, print_files
 from dc2g_jax._src.figures.results_figures import plot_leaderboard
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS
 from dc2g_jax._src.planning.rules import named_settings
@@ -74,7 +74,8 @@ def main(options: Options) -> None:
     network = options.open(options.planner)
     planners = by_name(options.planner, network)
     out = output_folder(options, "compare", inputs=digests(dataset, network=network))
-    table, began, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
+    began = datetime.datetime.now(datetime.UTC)
+    table, start, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
     # A step limit for each size of map: planners that fail would take that of the largest on all.
     by_size: dict[tuple[int, ...], list[House]] = {}
     for house in dataset.houses:
@@ -92,19 +93,18 @@ def main(options: Options) -> None:
     for planner, source in planners.items():
         for runner, of_all in runs:
             results += table.run(runner, of_all, {planner: source})
-    spent = f"{(time.monotonic() - began) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
+    spent = f"{(time.monotonic() - start) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
 
     families = families_of(results, limit)
     (out / "images").mkdir(exist_ok=True)
     plot_leaderboard(out / "images" / "leaderboard", families)
-    run = json.loads((out / RUN_FILE).read_text(encoding="utf-8"))["runs"][0]
-    command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", run["command"])
+    command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", command_written())
     text = page(
         families,
         _about(planners),
         settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
         how=f"{len(results):,} episodes of {len(planners)} planners in {len(families)} "
-        f"{'family' if len(families) == 1 else 'families'}: `{command}` ({run['began'][:10]}).",
+        f"{'family' if len(families) == 1 else 'families'}: `{command}` ({began:%Y-%m-%d}).",
         figure="images/leaderboard.png",
     )
     (out / "leaderboard.md").write_text(text, encoding="utf-8")

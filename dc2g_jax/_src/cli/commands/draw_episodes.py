@@ -56,7 +56,9 @@ def main(options: Options) -> None:
             f"{options.episodes}: extra steps are counted from the oracle's; give another --planner as well, or a "
             "--house to draw the oracle's paths in"
         )
-    published = {one.start.house: one.group for one in published_episodes()} if dataset.source == "published" else {}
+    published = (
+        {start.house: group for start, group, _ in published_episodes()} if dataset.source == "published" else {}
+    )
     group_by_house = {
         house: published.get(house) or group_of(dataset.house(house)) or "test"
         for house in {one.house for one in results}

@@ -20,7 +20,7 @@ from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import LOSSES
-from dc2g_jax._src.training.sweeps import SWEEP, Sweep, check_sweep, sweep
+from dc2g_jax._src.training.sweeps import SWEEP, Sweep, sweep
 from dc2g_jax._src.viewer.training_recording import MAPS_SHOWN, maps_to_watch, prediction_picture
 
 
@@ -77,14 +77,17 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
 
 def run_sweep(options: Options, dataset: HouseDataset, command: str) -> Sweep:
     """Train and validate all runs of a command; write, plot and print the results."""
-    arguments = options.arguments()
-    check_sweep(dataset, **arguments)  # raises before anything is written
-    output_folder(options, command, free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
-    picture = None
-    if options.track is not None:
-        picture = functools.partial(prediction_picture, maps=maps_to_watch(dataset, MAPS_SHOWN))
-    card = {"command": command_written(), "commit": commit()}
-    result = sweep(options.out, dataset, **arguments, picture=picture, card=card)
+    maps = functools.cache(lambda: maps_to_watch(dataset, MAPS_SHOWN))
+
+    def begin() -> None:
+        output_folder(options, command, free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
+        if options.track is not None:
+            maps()  # raises before minutes of other work
+
+    result = sweep(
+        options.out, dataset, **options.arguments(), card={"command": command_written(), "commit": commit()},
+        picture=None if options.track is None else lambda network: prediction_picture(network, maps()), begin=begin,
+    )  # fmt: skip
     if jax.process_index() == 0:
         plot_sweep(result, options.out / "sweep")
     print(f"{result}\nWritten to {options.out / 'results.csv'}")

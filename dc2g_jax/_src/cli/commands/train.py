@@ -5,6 +5,7 @@ After an interruption, --resume continues where it stopped.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,15 +14,16 @@ import tyro
 from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, OptionalInt, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
-from dc2g_jax._src.estimation.checkpoints import newest_step
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
+from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import parse_losses
-from dc2g_jax._src.training.train import EPISODES_EVERY, check_training, train
+from dc2g_jax._src.training.pairs import Pair
+from dc2g_jax._src.training.train import EPISODES_EVERY, train
 from dc2g_jax._src.viewer.columns import viewer_sink
 from dc2g_jax._src.viewer.training_recording import (
     MAPS_SHOWN,
@@ -105,36 +107,43 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
         )
 
 
-def shown_by(options: Options, dataset: HouseDataset, config: TrainingConfig) -> dict[str, Any]:
-    """What shows the training, as the options ask. It shows validation houses, the same ones for every run."""
+def shown_by(options: Options, config: TrainingConfig, maps: Callable[[], Pair]) -> dict[str, Any]:
+    """What shows the training on maps, as the options ask."""
     records = options.record or options.connect is not None
     if not records and options.track is None:
         return {}
-    maps = maps_to_watch(dataset, MAPS_SHOWN)
-    recording = None
-    if records and newest_step(options.out) < config.steps:
+
+    def recording() -> TrainingRecording:
         file = next_file(options.out) if options.record else None
-        recording = TrainingRecording(options.out, config, maps, file=file, viewer=options.connect)
-    return {"recording": recording, "picture": functools.partial(prediction_picture, maps=maps)}
+        return TrainingRecording(options.out, config, maps(), file=file, viewer=options.connect)
+
+    return {"recording": recording if records else None, "picture": lambda network: prediction_picture(network, maps())}
 
 
 def main(options: Options) -> None:
     """Train, validate, save and evaluate the network."""
     dataset = open_dataset(options.dataset)
+    config = options.training(max(dataset.houses[0].terrain.shape))
+    maps = functools.cache(lambda: maps_to_watch(dataset, MAPS_SHOWN))  # the same validation houses in every run
+    shown = shown_by(options, config, maps)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written
-    arguments: dict[str, Any] = {
-        **{name: getattr(options, name) for name in ("data", "episodes_every", "after", "split", "track")},
-        "config": options.training(max(dataset.houses[0].terrain.shape)),
-        "pauses": Pauses(options.validate_every, options.minutes_per_checkpoint),
-    }
-    plan, network, _ = check_training(dataset, **arguments)
-    if options.record or options.connect is not None or options.track is not None:
-        check_houses(dataset, extra=0, drawn=False, validated=True)
-    free = {"validate_every", "episodes_every", "minutes_per_checkpoint", "record", "connect", "split"}
-    output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
-    card = {"command": command_written(), "commit": commit()}
-    trained = train(options.out, dataset, **arguments, card=card, **shown_by(options, dataset, plan.recipe))
+
+    def begin() -> None:
+        if shown:
+            check_houses(dataset, extra=0, drawn=False, validated=True)
+        network = None if options.after is None else load_network(options.after)
+        free = {"validate_every", "episodes_every", "minutes_per_checkpoint", "record", "connect", "split"}
+        output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
+        if shown:
+            maps()  # raises before minutes of other work
+
+    trained = train(
+        options.out, dataset, config=config, data=options.data,
+        pauses=Pauses(options.validate_every, options.minutes_per_checkpoint), episodes_every=options.episodes_every,
+        after=options.after, split=options.split, track=options.track, **shown,
+        card={"command": command_written(), "commit": commit()}, begin=begin,
+    )  # fmt: skip
     print(f"Trained: {options.out / 'network'}")
     if trained.results is not None:
         print(f"In the houses of split {options.split}:\n{trained.results}")
