@@ -344,8 +344,8 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
             lines.append({**({"run": run} if run else {}), "step": step, "loss": known, **of_run})
             if not alone:
                 lines[-1]["steps_left_out"] = steps_left_out(one)
-        log.write(*lines)
         curve.add(step, figures, "validation/")
+        log.write(*lines)  # last, since it tells that the validation is done
         if alone:
             tqdm.write(json.dumps(lines[0]), file=sys.stderr)
         if task.recording is not None:
