@@ -13,6 +13,7 @@ from dc2g_jax.indoor.maps import cost_maps as cost_maps
 from dc2g_jax.robot.driving import mppi
 from dc2g_jax.robot.driving.mppi import MPPISettings
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive
+from experiments.objectnav.collecting import distance_for_vehicle
 from tests.oracles import mppi_oracle
 
 #: Few and short, with an effort matrix of all entries and limits that bind.
@@ -166,7 +167,7 @@ def test_a_vehicle_reaches_the_goal_through_a_door():
 
     @jax.jit
     def episode(key, state: VehicleState):
-        distance = cost_maps.distance_for_vehicle(obstacles, goals, limits.radius + CELL, CELL)
+        distance = distance_for_vehicle(obstacles, goals, limits.radius + CELL, CELL)
         cost_of_pose = cost_maps.cost_lookup(cost_maps.dense_costs(distance, CELL), CELL, outside=100.0)
 
         def step(carry, key):
