@@ -125,8 +125,8 @@ def scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> 
 
 
 def _round_numbers(low: float, high: float, most: int) -> list[float]:
-    """Round numbers on a logarithmic axis that 1 is on: as many as possible, at most `most`."""
-    for digits in (10, 12, 15, 20, 25, 30, 40, 50, 60, 70, 80, 90), (10, 15, 20, 30, 50, 70), (10, 20, 50), (10,):
+    """Round numbers on a logarithmic axis that 1 is on: at most `most`, unless powers of ten are more."""
+    for digits in range(10, 100, 2), range(10, 100, 10), (10, 15, 20, 30, 50, 70), (10, 20, 50), (10, 30), (10,):
         ticks = [digit * 10.0**power for power in range(-5, 5) for digit in digits]
         ticks = [tick for tick in ticks if low <= tick <= high]
         if len(ticks) <= most:
