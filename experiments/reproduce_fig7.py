@@ -192,7 +192,7 @@ def main(options: Options) -> None:
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
         compared = [result for result in part if result.planner in drawn(options.planner)]
-        plot_results(compared, out / f"houses_{settings}", groups[settings], TITLES[settings])
+        plot_results(compared, out / f"houses_{settings}", groups[settings], f"{TITLES[settings]} ({label})")
         if options.record:
             record(out, dataset, settings, part, network, _RECORDED)
     facts = {
@@ -204,7 +204,7 @@ def main(options: Options) -> None:
         "paper": _as_json(tables.get("paper", {})),
     }
     write_json(out / "results.json", facts)
-    print(f"\nIn {facts['seconds']} s:")
+    print(f"\nThis run took {facts['seconds']} s")
     print_files(out)
 
 

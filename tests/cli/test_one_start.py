@@ -84,6 +84,7 @@ def test_a_newcomer_sends_planners_over_a_map(compact_network, tmp_path):
     assert {path.name for path in out.iterdir()} == written | {"episodes.csv", "run.json"}
     assert all(path.stat().st_size > 0 for path in out.iterdir())
     assert f"rerun {out / 'episode.rrd'}" in result.stdout
+    assert "--seed" not in result.stdout  # the start is given
     # The oracle, which was asked for, is drawn as well: rows of DC2G, of its estimate, of the frontier, of the oracle.
     assert cv2.imread(str(out / "episode.png")).shape[0] > 4 * 300
 

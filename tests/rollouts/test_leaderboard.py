@@ -60,7 +60,15 @@ def test_the_page_says_where_a_planner_is_first_and_where_not():
     assert "| `slow` | 2.83 | 2.00 | 4.00 (100 % fail) |" in text
     assert "- **mazes**: first; 0.50 (0.50 to 0.50) times the steps of the second, `frontier`." in text
     assert "- **houses**: not first; 1.20 (1.20 to 1.20) times the steps of `frontier`." in text
+    assert "intervals over maps.\nThose of mazes, houses are too narrow: they need 6 maps or more.\n" in text
     assert "](" not in text.replace("](a.png)", "")  # no links to pages that the user does not have
+
+
+def test_intervals_over_six_maps_are_not_too_narrow():
+    results = [one._replace(house=f"mazes/{number}") for one in RESULTS[:1] for number in range(6)]
+    families = families_of([one._replace(planner=name) for name in ("frontier", "fast") for one in results], {})
+    text = page(families, ["fast"], settings="Rules.", how="By hand.", figure="a.png")
+    assert "intervals over maps.\n\n##" in text
 
 
 def test_the_documents_have_a_page_of_this_form():

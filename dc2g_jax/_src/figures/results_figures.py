@@ -124,6 +124,16 @@ def scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> 
     axes.minorticks_off()
 
 
+def _round_numbers(low: float, high: float, most: int) -> list[float]:
+    """Round numbers on a logarithmic axis that 1 is on: at most `most`, unless powers of ten are more."""
+    for digits in range(10, 100, 2), range(10, 100, 10), (10, 15, 20, 30, 50, 70), (10, 20, 50), (10, 30), (10,):
+        ticks = [digit * 10.0**power for power in range(-5, 5) for digit in digits]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) <= most:
+            break
+    return ticks
+
+
 def plot_leaderboard(path: str | Path, families: Families) -> None:
     """Draw steps relative to the reference, with a panel for each family, the best planner at the top.
 
@@ -146,10 +156,12 @@ def plot_leaderboard(path: str | Path, families: Families) -> None:
         axes.set_title(name, fontsize=7.5)
         plain_axes(axes, grid="both", label_size=6.5)
     all_axes[0].set_xscale("log")
-    all_axes[0].set_xticks(ticks := (0.2, 1, 5), [f"{tick:g}" for tick in ticks])
+    low, high = all_axes[0].get_xlim()
+    ticks = _round_numbers(low, high, most=max(4, 12 // len(families)))
+    all_axes[0].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     all_axes[0].minorticks_off()
     all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])
-    figure.supxlabel("steps relative to frontier exploration: mean of ratios, 95 % interval over maps", fontsize=7.5)
+    figure.supxlabel("steps relative to frontier exploration: geometric mean, 95 % interval over maps", fontsize=7.5)
     save_figure(figure, path, dpi=200)
 
 

@@ -16,6 +16,9 @@ PRIVILEGED = ("oracle", "true_cost_to_go")
 #: The planner that all are compared with.
 REFERENCE = "frontier"
 
+#: Number of maps of a family below which their intervals are too narrow.
+_FEW_MAPS = 6
+
 #: Bootstrap samples of maps, and their seed.
 _RESAMPLES, _SEED = 2_000, 0
 
@@ -114,7 +117,7 @@ bold: the best of the others in a family. The second column is the mean over fam
 
 ![Steps relative to frontier exploration, by planner and family]({figure})
 
-Dots are the means of the table, lines their 95 % intervals over maps.
+Dots are the means of the table, lines their 95 % intervals over maps.{caution}
 
 {sentences}
 
@@ -134,6 +137,8 @@ def page(families: Families, about: Sequence[str], *, settings: str, how: str, f
       how: how many episodes ran, and by which command, in words.
       figure: path of the figure, relative to the page.
     """
+    few = [name for name, family in families.items() if len(set(family.maps)) < _FEW_MAPS]
+    caution = f"\nThose of {', '.join(few)} are too narrow: they need {_FEW_MAPS} maps or more." if few else ""
     heads = " | ".join(f"{name} ({len(set(family.maps))})" for name, family in families.items())
     table = [f"| planner | all | {heads} |", f"|---|{'---|' * (len(families) + 1)}"]
     table += [_row(families, planner) for planner in in_order(families)]
@@ -146,4 +151,6 @@ def page(families: Families, about: Sequence[str], *, settings: str, how: str, f
         )
         for planner in about
     )
-    return PAGE.format(settings=settings, table="\n".join(table), figure=figure, sentences=sentences, how=how)
+    return PAGE.format(
+        settings=settings, table="\n".join(table), figure=figure, caution=caution, sentences=sentences, how=how
+    )

@@ -34,5 +34,5 @@ def own_part(kind: str, name: str, known: Iterable[str]) -> Any:
     except (ImportError, AttributeError) as error:
         raise InputError(
             f"{kind} {name!r}: cannot be imported ({error}); give package.module:Name, of a module that Python finds "
-            "in this folder or among the installed ones"
+            "in the folder of the script (for a command: the current one) or among the installed ones"
         ) from None

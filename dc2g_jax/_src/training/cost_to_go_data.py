@@ -223,6 +223,8 @@ def observation_masks(
     worlds = stack_worlds([*houses, *(some - len(houses)) * [houses[-1]]])
     ranges = tuple(sorted({*config.ranges, *_VALIDATION_RANGES}))
     collected: list[Masks] = []
+    rollouts = len(config.ranges) * (LEADERS if network is None else 1)
+    on_progress(0, rollouts)
     for place, sensing_range in enumerate(config.ranges):
         view, sensing = None, field_of_view(sensing_range)
         if network is None:
@@ -245,7 +247,7 @@ def observation_masks(
                     seed=seed,
                 )
             )
-            on_progress(len(collected), len(config.ranges) * len(leaders))
+            on_progress(len(collected), rollouts)
     return by_house(collected)
 
 
@@ -310,11 +312,11 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
         if set(found) != set(names):
             raise InputError(f"{path}: has the arrays {short(sorted(found))}, not {', '.join(names)}; {remedy}")
         return found
-    with tqdm(desc=path.stem, unit=unit, file=sys.stderr) as bar:
+    with tqdm(desc=path.stem, unit=unit, delay=1e-9, file=sys.stderr) as bar:  # shown once its total is known
 
         def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
+            bar.n, bar.total = done, total
+            bar.refresh()
 
         collected = collect(show)
     arrays = {name: np.asarray(getattr(collected, name)) for name in names}

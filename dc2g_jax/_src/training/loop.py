@@ -333,7 +333,8 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
             task.save(run_folder(out, run), one, {"steps": step, "validation": dict(of_run)})
 
     def validate() -> None:
-        bar.set_description("validate")
+        if pauses.steps_between(task.steps):
+            bar.set_description("validate")
         each = _each_run(states)
         weights = [one.trained for one in each]
         figures = [task.validate(one, step) for one in weights]
@@ -346,8 +347,8 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
                 lines[-1]["steps_left_out"] = steps_left_out(one)
         curve.add(step, figures, "validation/")
         log.write(*lines)  # last, since it tells that the validation is done
-        if alone:
-            tqdm.write(json.dumps(lines[0]), file=sys.stderr)
+        if alone and figures[0]:
+            tqdm.write(", ".join(f"{name} {value}" for name, value in lines[0].items()), file=sys.stderr)
         if task.recording is not None:
             task.recording.validate(step, figures[0], weights[0])
         bar.set_description(task.name)

@@ -23,7 +23,8 @@ def main(options: Options) -> None:
     start = start_in(str(options.map), house, options.start, options.seed)
     doubts = doubts_about(options)
     run_one_start(options, "explore_map", "episode", house, start, step_limit=options.step_limit, warnings=doubts)
-    print("One start says little: --seed gives another; dc2g compare --family FOLDER runs many.")
+    another = "" if options.start else ": --seed gives another"
+    print(f"One start says little{another}; dc2g compare --family FOLDER runs many.")
     if options.network is None:
         for line in unlike_training(terrain, pixels_of(options)):
             print(f"Unlike the training: {line}")
