@@ -1,5 +1,6 @@
 """Pictures, tables and documents, read strictly and written atomically."""
 
+from dc2g_jax._src.files.atomic import replacing as replacing
 from dc2g_jax._src.files.class_images import (
     PALETTE_FILE as PALETTE_FILE,
     Palette as Palette,
@@ -8,7 +9,7 @@ from dc2g_jax._src.files.class_images import (
     write_class_image as write_class_image,
     write_palette as write_palette,
 )
-from dc2g_jax._src.files.digests import tree_sha256 as tree_sha256
+from dc2g_jax._src.files.digests import arrays_sha256 as arrays_sha256, tree_sha256 as tree_sha256
 from dc2g_jax._src.files.png import MOST_PIXELS as MOST_PIXELS, read_png as read_png, write_png as write_png
 from dc2g_jax._src.files.reading import (
     TEXT as TEXT,

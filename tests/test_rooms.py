@@ -14,7 +14,7 @@ PACKAGE = ROOT / "dc2g_jax"
 SRC = PACKAGE / "_src"
 
 #: Sub-packages that use the core as any other package can.
-CLIENTS = ("demo", "families", "gymnasium", "indoor", "osm", "rivals", "robot")
+CLIENTS = ("demo", "families", "gymnasium", "indoor", "onnx", "osm", "rivals", "robot")
 
 
 def imports(path: Path) -> Iterator[str]:

@@ -10,7 +10,7 @@ import pytest
 from flax import nnx
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.estimation import compact_unet, onnx_export
+from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.checkpoints import save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet, init_weights
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
@@ -255,4 +255,3 @@ def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
         told = DC2G(loaded, SETTINGS["paper"].rules(), selection)._told(terrain, ())
         np.testing.assert_allclose(told, selection.summary(outcomes), rtol=1e-5)
     dc2g.check_planner(dc2g.make_planner("dc2g", network=loaded))
-    refusal(lambda: onnx_export.export_onnx(loaded, tmp_path / "own.onnx"), "only compact networks")

@@ -28,7 +28,6 @@ COMMANDS = {
     "draw episodes": (f"{_OWN}.draw_episodes", "figures of earlier episodes"),
     "train": (f"{_OWN}.train", "train the cost-to-go network"),
     "sweep": (f"{_OWN}.sweep", "train networks with many losses, learning rates, widths and seeds"),
-    "export": (f"{_OWN}.export_network", "write a trained network as an ONNX file"),
 }
 for _plugin in plugins("commands").values():
     COMMANDS |= _plugin.load()

@@ -17,8 +17,8 @@ from tests.support.refusals import refusal
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from dc2g_jax._src.cli.commands.export_network import Options, main  # noqa: E402
-from dc2g_jax._src.estimation.onnx_export import export_onnx  # noqa: E402
+from dc2g_jax.onnx import export_onnx  # noqa: E402
+from dc2g_jax.onnx.command import Options, main  # noqa: E402
 
 
 def wanted_of(network: NetworkCostToGo, classes: np.ndarray) -> np.ndarray:
@@ -63,7 +63,9 @@ def test_the_file_says_what_it_is(tmp_path):
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path):
-    refusal(lambda: export_onnx(ExactCostToGo(), tmp_path / "network.onnx"), "only compact networks", "dc2g train")
+    own = NetworkCostToGo({}, Architecture(network="my_package.networks:Mine"))
+    for estimator in (ExactCostToGo(), own):
+        refusal(lambda: export_onnx(estimator, tmp_path / "network.onnx"), "only compact networks", "dc2g train")  # noqa: B023
     refusal(
         lambda: export_onnx(dc2g.load_network(), tmp_path / "none" / "network.onnx"),
         "none/network.onnx",

@@ -1,4 +1,4 @@
-"""Export of a compact network to ONNX, for programs in other languages. It needs the extra `onnx`."""
+"""The ONNX graph of a compact network."""
 
 import json
 from collections.abc import Mapping
@@ -8,11 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo, trait
-from dc2g_jax._src.files.atomic import replacing
-from dc2g_jax._src.files.digests import arrays_sha256
-from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.runtime.errors import InputError, require_extra
+from dc2g_jax.estimation import NetworkCostToGo
+from dc2g_jax.files import arrays_sha256, replacing
+from dc2g_jax.grid import CLASS_NAMES
+from dc2g_jax.runtime import InputError, require_extra
 
 require_extra("onnx", extra="onnx")
 import onnx  # noqa: E402
@@ -108,7 +107,7 @@ def export_onnx(network: Any, path: str | Path) -> None:
     Raises:
       InputError: the network is of another kind or one of the user's own, or the file cannot be written.
     """
-    if not trait(network, "is_compact"):
+    if not getattr(network, "is_compact", False):
         raise InputError("only compact networks can be exported; give one from `dc2g train` without --architecture")
     graph, architecture = _Graph(), network.architecture
     found = _add_network(graph, network)

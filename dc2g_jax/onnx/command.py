@@ -6,9 +6,9 @@ from typing import Annotated
 
 import tyro
 
-from dc2g_jax._src.cli.outputs import CommandOptions
-from dc2g_jax._src.estimation.hub import load_network
-from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax.commands import CommandOptions
+from dc2g_jax.estimation import load_network
+from dc2g_jax.runtime import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +30,7 @@ def main(options: Options) -> None:
     """Write the file."""
     if options.out.exists():
         raise InputError(f"{options.out}: exists already; give --out another file")
-    from dc2g_jax._src.estimation.onnx_export import export_onnx  # needs the extra `onnx`
+    from dc2g_jax.onnx import export_onnx  # needs the extra `onnx`
 
     export_onnx(load_network(options.network), options.out)
     print(f"Written to {options.out}, {options.out.stat().st_size / 1e6:.1f} MB")
