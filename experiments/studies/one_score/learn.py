@@ -6,6 +6,7 @@ cell as the goal: the value of a candidate is the mean logarithm of the actions 
 The weights are a least-squares fit of the differences between candidates of a decision, in which the map cancels.
 """
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -35,6 +36,9 @@ _LAST_ACTIONS = 6
 
 #: Actions after which a rollout ends, for each cell of a side of the map.
 _LIMIT = 100
+
+#: A share of the field of view that is never new.
+_NEVER = 1e3
 
 #: The terms that maps without classes tell the weights of.
 _PLAIN = [number for number, term in enumerate(TERMS) if term not in ("cost", "kept")]
@@ -198,9 +202,13 @@ def _tried(planner: Scored, worlds: World, start: Pose, numbers: Array, *, limit
 
 
 def try_candidates(planner: Scored, maps: Maps) -> Tried:
-    """Try candidates at a random decision in each map."""
+    """Try candidates at a random decision in each map.
+
+    Each choice is followed until its pose reveals nothing more: a planner that soon chooses anew would tell nothing
+    about distant candidates.
+    """
     side = maps.worlds.width
-    found = _tried(planner, *maps[:3], limit=_LIMIT * side, decisions=side)
+    found = _tried(dataclasses.replace(planner, replan_fraction=_NEVER), *maps[:3], limit=_LIMIT * side, decisions=side)
     terms, value, share, useful = (np.asarray(gather(part, len(maps.kinds))) for part in found)
     return Tried(terms[useful], value[useful], share[useful])
 
