@@ -58,6 +58,7 @@ def streets(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_a_newcomer_sends_planners_over_a_map(compact_network, tmp_path):
     write_class_image(tmp_path / "yard.png", YARD)
     rows = [f"{name},{r},{g},{b}\n" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)]

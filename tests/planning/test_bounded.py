@@ -80,6 +80,7 @@ def has_seen_one_view(belief):
     return bitboard.count(belief.seen) <= len(COMPLETE.sensing.offsets[0])
 
 
+@pytest.mark.slow
 def test_no_planner_breaks_a_bound_that_once_held():
     terrains, starts = misleading_worlds(SHAPE, 100, EPISODES)
     frontier_steps = plain_frontier_steps(terrains, starts, "complete")

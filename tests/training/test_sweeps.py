@@ -151,6 +151,7 @@ def train(data, configs, steps: int, states=None):
     return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("stack")
 def test_together_is_like_alone(data):
     configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]), 64)[0].values())

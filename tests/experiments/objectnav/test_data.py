@@ -61,6 +61,7 @@ def samples(world) -> JourneySet:
     return jax.tree.map(jnp.asarray, made)
 
 
+@pytest.mark.slow
 def test_robots_know_what_the_map_of_a_searching_robot_shows(samples, world):
     """The house seen from the places of a journey, frame by frame, on a map as large as a search's."""
     settings, camera, house = mapping.IndoorMapSettings(), indoor_camera(), scene(world)
@@ -93,6 +94,7 @@ def test_journeys_are_through_free_floor_and_reveal_the_house(samples, world):
     assert 0.1 < turns.max() <= math.pi
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_journeys(samples, world):
     again = collect([IndoorHouse("train-0", world)], Quarters(), CONFIG)
     jax.tree.map(np.testing.assert_array_equal, again, samples)

@@ -12,6 +12,7 @@ from experiments.objectnav.training import BETTER_RECIPE, PAPER_RECIPE, figures,
 from tests.support.trainings import CASES, COST_MAPS as CONFIG, journeys, train
 
 
+@pytest.mark.slow
 def test_figures_of_a_network_do_not_change():
     batches = validation_samples(journeys(), CONFIG, 8)
     state, _ = train(CASES["cost_maps"], CONFIG.steps)
