@@ -9,7 +9,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.estimation.estimators import Estimator, update_where
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
@@ -210,13 +210,13 @@ class Scored(Planner):
     Attributes:
       rules: field of view.
       weights: weight of each of `TERMS`.
-      estimator: the network; `None` to do without.
+      network: the network; `None` to do without.
       replan_fraction: share of the cells in the field of view that must be newly seen before the planner chooses anew.
     """
 
     rules: Rules = struct.field(pytree_node=False)
     weights: Float[Array, "term"]
-    estimator: Estimator | None = None
+    network: NetworkCostToGo | None = None
     replan_fraction: float = struct.field(pytree_node=False, default=1 / 3)
     batch_per_core: ClassVar[int] = 16
 
@@ -233,7 +233,7 @@ class Scored(Planner):
 
     def _has_network(self, belief: Belief) -> Bool[Array, "*batch"]:
         """Whether there is a network, and a map that it can read."""
-        return _with_classes(belief) & (self.estimator is not None)
+        return _with_classes(belief) & (self.network is not None)
 
     def look(self, belief: Belief, state: Choice) -> tuple[Bool[Array, "*batch"], Any]:
         """Whether the network is asked; whether a choice is due, reachable cells, and poses that reveal something."""
@@ -247,10 +247,10 @@ class Scored(Planner):
 
     def ask(self, belief: Belief, state: Choice) -> Float[Array, "h w *batch"]:
         """The network's mean answer to the map or its mirror image, in turn."""
-        if self.estimator is None:
+        if self.network is None:
             return state.estimate
         terrain, mirrored = observed_terrain(belief), state.choices % 2 == 1
-        told = self.estimator.estimate(jnp.where(mirrored, jnp.flip(terrain, 1), terrain), ())
+        told = self.network.estimate(jnp.where(mirrored, jnp.flip(terrain, 1), terrain), ())
         cost = (functools.reduce(jnp.add, list(told)) / len(told)).astype(jnp.float32)
         return jnp.where(mirrored, jnp.flip(cost, 1), cost)
 

@@ -7,19 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid import bitboard, gridworld, poses
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rollouts.checks import check_planner
-from experiments.studies.one_score.__main__ import Options, main
+from experiments.studies.one_score.__main__ import START, Options, main
 from experiments.studies.one_score.learn import Tried, fitted, maps_of, try_candidates, values
 from experiments.studies.one_score.maps import KINDS, draw_map
 from experiments.studies.one_score.planner import SIDE, TERMS, Scored
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import SENSING, random_moment
+from tests.support.networks import random_network
 
 RULES = complete_rules(SENSING)
 WEIGHTS = np.linspace(-1, 1, len(TERMS)).astype(np.float32) / 8
@@ -107,9 +108,10 @@ def test_candidates_and_terms_equal_the_oracle(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("estimator", [None, ExactCostToGo()])
-def test_it_keeps_the_protocol_of_planners(estimator):
-    check_planner(Scored(RULES, jnp.asarray(WEIGHTS), estimator))
+@pytest.mark.parametrize("network", [None, random_network(Architecture(widths=(4, 8)))])
+def test_it_keeps_the_protocol_of_planners(network):
+    weights = jnp.asarray([START.get(term, 0.0) for term in TERMS], jnp.float32)
+    check_planner(Scored(RULES, weights, network))
 
 
 def corridors():
