@@ -18,6 +18,7 @@ from dc2g_jax._src.grid.ground import (
     component_numbers as component_numbers,
     connected_to as connected_to,
     connected_to_goal as connected_to_goal,
+    largest_piece as largest_piece,
 )
 from dc2g_jax._src.grid.label_noise import (
     NoiseLevels as NoiseLevels,

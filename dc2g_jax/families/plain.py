@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from dc2g_jax.datasets import PROCEDURAL, House, HouseDataset, sampled
-from dc2g_jax.grid import FREE, FRONT_DOOR, OCCUPIED, ClassImage, component_numbers
+from dc2g_jax.grid import FREE, FRONT_DOOR, OCCUPIED, ClassImage, largest_piece
 
 #: Columns and rows of the maps.
 CELLS = 50
@@ -110,11 +110,9 @@ def with_door(free: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> ClassI
 
     Only the largest piece of connected cells stays free. `None` if it is too small.
     """
-    numbers = component_numbers(free)
-    sizes = np.bincount(numbers[free], minlength=1)
-    if sizes.max() < _LEAST_FREE * free.size:
+    ground = largest_piece(free)
+    if ground.sum() < _LEAST_FREE * free.size:
         return None
-    ground = free & (numbers == np.argmax(sizes))
     classes = np.where(ground, np.uint8(FREE), np.uint8(OCCUPIED))
     cells = np.argwhere(ground)
     classes[tuple(cells[rng.integers(len(cells))])] = FRONT_DOOR

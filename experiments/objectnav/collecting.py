@@ -13,7 +13,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
-from dc2g_jax.grid import component_numbers
+from dc2g_jax.grid import largest_piece
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.houses.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.indoor.learning.midlevel import TrainedEncoder
@@ -184,8 +184,7 @@ def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
 
 def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
     """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
-    region = component_numbers(world.fits)
-    return (region == np.argmax(np.bincount(region[region > 0], minlength=1))) & (region > 0)
+    return largest_piece(np.asarray(world.fits))
 
 
 def _random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:

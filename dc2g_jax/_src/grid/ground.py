@@ -28,6 +28,12 @@ def component_numbers(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
     return np.asarray(ndimage.label(cells)[0])
 
 
+def largest_piece(cells: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The largest 4-connected component of a set of cells; empty for an empty set."""
+    numbers = component_numbers(cells)
+    return np.asarray(cells & (numbers == np.argmax(np.bincount(numbers[cells], minlength=1))))
+
+
 def connected_to(goals: Bool[np.ndarray, "h w"], cells: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The cells from which a 4-connected path within `cells` leads to a goal."""
     numbers = component_numbers(cells)

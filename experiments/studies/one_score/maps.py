@@ -7,10 +7,13 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
-from dc2g_jax._src.grid.ground import component_numbers
+from dc2g_jax._src.grid.ground import largest_piece
 from dc2g_jax.families.plain import draw_hall, draw_maze, draw_office
 
 Free = Bool[np.ndarray, "h w"]
+
+#: Least number of cells a side.
+LEAST_SIDE = 40
 
 #: Least share of the cells that is free and connected.
 _LEAST_FREE = 0.06
@@ -176,7 +179,6 @@ def draw_map(kind: str, seed: tuple[int, ...], side: int) -> Free:
             part = int(rng.integers(side // 2, side))
             free = np.pad(free[:part, :part], (0, side - part))
             free = np.roll(free, rng.integers(0, side - part + 1, size=2), axis=(0, 1))
-        numbers = component_numbers(free)
-        sizes = np.bincount(numbers[free], minlength=1)
-        if sizes.max() >= _LEAST_FREE * free.size:
-            return free & (numbers == np.argmax(sizes))
+        piece = largest_piece(free)
+        if piece.sum() >= _LEAST_FREE * free.size:
+            return piece
