@@ -164,14 +164,14 @@ def update_where(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batc
 
 
 #: Classes of maps without semantics: occupancy maps, their doors, and cells set aside.
-_PLAIN = (UNKNOWN, FREE, OCCUPIED, FRONT_DOOR, NOTHING, OUTSIDE)
+PLAIN_CLASSES = (UNKNOWN, FREE, OCCUPIED, FRONT_DOOR, NOTHING, OUTSIDE)
 
 
 def zero_without_classes(
     terrain: UInt8[Array, "h w *batch"], costs: Float[Array, "outcomes h w *batch"]
 ) -> Float[Array, "outcomes h w *batch"]:
     """A network's costs; 0 everywhere for a map without semantics, from which nothing can be predicted."""
-    plain = functools.reduce(jnp.logical_or, [terrain == kind for kind in _PLAIN])
+    plain = functools.reduce(jnp.logical_or, [terrain == kind for kind in PLAIN_CLASSES])
     return jnp.where(jnp.all(plain, axis=(0, 1)), 0.0, costs)
 
 

@@ -1,6 +1,7 @@
 """Learn the weights of one score for all maps: `python -m experiments.studies.one_score --out outputs/one_score`."""
 
 import dataclasses
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,15 +12,21 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.files.reading import check_file
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax._src.runtime.errors import InputError, check_number
 
 from .learn import Maps, drawn, fitted, maps_of, try_candidates, values
+from .maps import LEAST_SIDE
 from .planner import TERMS, Scored
 
 #: Weights to begin with: the next best view, log gain less a tenth of the actions; and a little for the last choice.
 START = {"actions": 0.01, "log_gain": -0.1, "kept": -0.02}
+
+#: What to do about a file without maps.
+_FOREIGN = "give --foreign an .npz file with the arrays names and free"
 
 #: Bootstrap samples, and what is added to the seed of a round's maps for those that decide whether it is accepted.
 _RESAMPLES, _APART = 10_000, 1_000_000
@@ -47,9 +54,17 @@ class Options(OutOptions):
 
 
 def foreign_maps(path: Path, seed: int) -> Maps:
-    """Maps that others drew, of 100 cells a side."""
-    with np.load(path) as file:
-        names, free = file["names"], np.unpackbits(file["free"], axis=-1)[:, :, :100].astype(bool)
+    """Maps that others drew, of 100 cells a side.
+
+    Raises:
+      InputError: the file cannot be read or holds no such maps.
+    """
+    check_file(path, _FOREIGN)
+    try:
+        with np.load(path) as file:
+            names, free = file["names"], np.unpackbits(file["free"], axis=-1)[:, :, :100].astype(bool)
+    except (ValueError, LookupError, TypeError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: holds no maps ({error}); {_FOREIGN}") from None
     return maps_of(list(free), [str(name).partition("/")[0] for name in names], seed)
 
 
@@ -70,6 +85,9 @@ def table(scored: Scored, maps: Iterable[Maps]) -> list[str]:
 def main(options: Options) -> None:
     """Learn, and report."""
     require_positive(options, "rounds", "maps", "judged")
+    for side in options.sides:
+        check_number("--sides", side, whole=True, least=LEAST_SIDE)
+    foreign = [] if options.foreign is None else [foreign_maps(options.foreign, options.seed)]
     out = output_folder(options, "one_score")
     scored = Scored(named_settings("paper").rules(), jnp.asarray([START.get(term, 0.0) for term in TERMS], jnp.float32))
     for number in range(options.rounds):
@@ -86,9 +104,7 @@ def main(options: Options) -> None:
         weights = dict(zip(TERMS, np.asarray(scored.weights).tolist(), strict=True))
         write_json(out / "weights.json", weights)
     last = [drawn(options.judged, options.seed + 2 * _APART, side) for side in options.sides]
-    if options.foreign is not None:
-        last.append(foreign_maps(options.foreign, options.seed))
-    lines = table(scored, last)
+    lines = table(scored, last + foreign)
     (out / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
     print_files(out)

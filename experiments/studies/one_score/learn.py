@@ -22,7 +22,7 @@ from dc2g_jax._src.grid.poses import HEADINGS, Pose, make_pose
 from dc2g_jax._src.grid.terrain import FREE, OCCUPIED
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import GAVE_UP, Frontier
-from dc2g_jax._src.runtime.devices import deal, gather, mesh_of, on_each
+from dc2g_jax._src.runtime.devices import batched, deal, gather, mesh_of, on_each
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
 from .maps import KINDS, Free, draw_map
@@ -131,28 +131,28 @@ def _value(planner: Scored | Frontier, world: World, belief: Belief, state: Any,
     return total / jnp.maximum(area - before, 1)
 
 
-def _on_each_map(function: Any, planner: Scored | Frontier, maps: Maps) -> Any:
-    """`function(planner, world, start, numbers)` for each map, one robot a core."""
+def _on_each_map(function: Any, planner: Scored | Frontier, dealt: Any) -> Any:
+    """`function(planner, *parts)` for the parts of each map, one robot a core."""
+    mesh = mesh_of(None)
 
     def own(dealt: Any, planner: Scored | Frontier) -> Any:
-        def one_by_one(dealt: Any, planner: Scored | Frontier) -> Any:
-            def one(dealt: Any) -> Any:
-                return function(planner, *jax.tree.map(lambda leaf: leaf[..., None], dealt))
+        def each(dealt: Any, planner: Scored | Frontier) -> Any:
+            def one(*parts: Any) -> Any:
+                return function(planner, *jax.tree.map(lambda leaf: leaf[..., None], parts))
 
-            return jax.lax.map(one, dealt)
+            return batched(mesh)(one)(*dealt)
 
-        return one_operation(one_by_one, dealt, planner)
+        return one_operation(each, dealt, planner)
 
-    return on_each(own, mesh_of(None), tuple(maps[:3]), planner)
+    return on_each(own, mesh, dealt, planner)
 
 
 @functools.partial(jit, static_argnames="limit", compiler_options=ONE_OPERATION_OPTIONS)
-def _values(planner: Scored | Frontier, worlds: World, start: Pose, numbers: Array, *, limit: int) -> Array:
-    def value(planner: Scored | Frontier, world: World, start: Pose, numbers: Array) -> Array:
-        del numbers
+def _values(planner: Scored | Frontier, worlds: World, start: Pose, *, limit: int) -> Array:
+    def value(planner: Scored | Frontier, world: World, start: Pose) -> Array:
         return _value(planner, world, gridworld.reset(world, start, planner.rules.sensing), planner.init(world), limit)
 
-    return _on_each_map(value, planner, Maps(worlds, start, numbers, ()))
+    return _on_each_map(value, planner, (worlds, start))
 
 
 def values(planner: Scored | Frontier, maps: Maps) -> Float[np.ndarray, "maps"]:
@@ -162,7 +162,7 @@ def values(planner: Scored | Frontier, maps: Maps) -> Float[np.ndarray, "maps"]:
       planner: the planner; its state has `reachable` cells, or is these.
       maps: the maps.
     """
-    found = _values(planner, *maps[:3], limit=_LIMIT * maps.worlds.width)
+    found = _values(planner, maps.worlds, maps.start, limit=_LIMIT * maps.worlds.width)
     return np.asarray(gather(found, len(maps.kinds)))[:, 0]
 
 
@@ -198,7 +198,7 @@ def _tried(planner: Scored, worlds: World, start: Pose, numbers: Array, *, limit
         share = 1 - _reached(state) / bitboard.count(world.traversable)
         return terms, value, share[0], (~ended & (count > 1))[0]
 
-    return _on_each_map(tried, planner, Maps(worlds, start, numbers, ()))
+    return _on_each_map(tried, planner, (worlds, start, numbers))
 
 
 def try_candidates(planner: Scored, maps: Maps) -> Tried:
@@ -208,7 +208,8 @@ def try_candidates(planner: Scored, maps: Maps) -> Tried:
     about distant candidates.
     """
     side = maps.worlds.width
-    found = _tried(dataclasses.replace(planner, replan_fraction=_NEVER), *maps[:3], limit=_LIMIT * side, decisions=side)
+    planner = dataclasses.replace(planner, replan_fraction=_NEVER)
+    found = _tried(planner, maps.worlds, maps.start, maps.numbers, limit=_LIMIT * side, decisions=side)
     terms, value, share, useful = (np.asarray(gather(part, len(maps.kinds))) for part in found)
     return Tried(terms[useful], value[useful], share[useful])
 

@@ -9,23 +9,25 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo, update_where
+from dc2g_jax._src.estimation.estimators import PLAIN_CLASSES, NetworkCostToGo, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet, every_heading
-from dc2g_jax._src.grid.terrain import FREE, OCCUPIED
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
+from dc2g_jax._src.planning.choosing import at_cells
 from dc2g_jax._src.planning.planners import (
     Ask,
     Assessment,
     Planner,
     explore_or_finish,
+    in_view,
     observed_terrain,
     reachable_cells,
 )
 from dc2g_jax._src.planning.rules import Rules
+from dc2g_jax._src.planning.selection import mean_of
 from dc2g_jax._src.runtime.programs import apart
 
 #: Cells a side of the squares that the map is divided into; each has one candidate at most.
@@ -34,7 +36,7 @@ SIDE = 8
 #: Squares whose shares of unobserved, free and frontier cells are terms: cells ahead of the pose, and radius.
 _UNSEEN, _FREE, _FRONTIER = ((0, 8), (0, 16), (0, 32)), ((6, 4),), ((0, 3),)
 
-#: The terms of the score, see `terms`.
+#: The terms of the score, see `Scored`.
 TERMS = (
     "actions", "log_actions", "gain", "log_gain", "cost", "kept", "unseen_8", "unseen_16", "unseen_32",
     "free_ahead", "frontier_3", "straight_ahead", "winding",
@@ -42,6 +44,9 @@ TERMS = (
 
 #: Those that differ from pose to pose within a square; they choose its candidate.
 _OF_POSES = TERMS[:6]
+
+#: The network is asked about the map and its mirror image in turn.
+_VIEWS = ((), (1,))
 
 #: XLA has no code for the least of floats within an operation of a CPU. So scores are rounded to integers.
 _STEPS_PER_UNIT, _MOST_STEPS = 2**16, 2**22 - 1
@@ -53,7 +58,7 @@ class Candidates(NamedTuple):
     Attributes:
       pose: the poses.
       present: whether the square has one.
-      of_poses: their first terms, see `terms`.
+      of_poses: their first terms, see `Scored`.
     """
 
     pose: Pose
@@ -88,8 +93,9 @@ class Choice(NamedTuple):
 
 
 def _with_classes(belief: Belief) -> Bool[Array, "*batch"]:
-    """Whether anything but free and occupied cells and doors has been observed."""
-    return ~bitboard.is_empty(belief.seen & ~belief.of_class(FREE) & ~belief.of_class(OCCUPIED) & ~belief.goals)
+    """Whether anything has been observed that a network can read, see `estimation.estimators.PLAIN_CLASSES`."""
+    plain = functools.reduce(jnp.bitwise_or, map(belief.of_class, PLAIN_CLASSES))
+    return ~bitboard.is_empty(belief.seen & ~plain)
 
 
 def _as_integers(score: Float[Array, "..."]) -> Int[Array, "..."]:
@@ -160,7 +166,6 @@ def _terms_of_squares(belief: Belief, reachable: Board, found: Candidates) -> Fl
     height, width, pose = belief.height, belief.width, found.pose
     sets = (frontiers.unseen(belief), belief.traversable, frontiers.frontier_cells(belief, reachable))
     sums = _sums(jnp.stack([bitboard.unpack(board, width) for board in sets]))
-    sums = sums.reshape(len(sets), -1, *pose.x.shape[1:])
     ahead = jnp.asarray(FORWARD, jnp.int32)
 
     def within(number: int, square: tuple[int, int]) -> Float[Array, "square *batch"]:
@@ -169,8 +174,7 @@ def _terms_of_squares(belief: Belief, reachable: Board, found: Candidates) -> Fl
         x, y = (at + cells * ahead[pose.heading, axis] for axis, at in enumerate((pose.x, pose.y)))
         left, right = (jnp.clip(x + end, 0, width) for end in (-radius, radius + 1))
         top, bottom = (jnp.clip(y + end, 0, height) for end in (-radius, radius + 1))
-        at = functools.partial(jnp.take_along_axis, sums[number], axis=0)
-        corners = [at(row * (width + 1) + column) for row in (top, bottom) for column in (left, right)]
+        corners = [at_cells(sums[number], column, row) for row in (top, bottom) for column in (left, right)]
         return (corners[3] - corners[2] - corners[1] + corners[0]).astype(jnp.float32)
 
     def side(square: tuple[int, int]) -> int:
@@ -249,10 +253,9 @@ class Scored(Planner):
         """The network's mean answer to the map or its mirror image, in turn."""
         if self.network is None:
             return state.estimate
-        terrain, mirrored = observed_terrain(belief), state.choices % 2 == 1
-        told = self.network.estimate(jnp.where(mirrored, jnp.flip(terrain, 1), terrain), ())
-        cost = (functools.reduce(jnp.add, list(told)) / len(told)).astype(jnp.float32)
-        return jnp.where(mirrored, jnp.flip(cost, 1), cost)
+        view = state.choices % len(_VIEWS)
+        told = self.network.estimate(in_view(observed_terrain(belief), _VIEWS, view, 0), ())
+        return in_view(mean_of(told).astype(jnp.float32), _VIEWS, view, 0)
 
     def choose(self, inputs: tuple[Belief, Board, PoseSet], state: Choice, ask: Ask) -> Choice:
         """The candidate of the lowest score."""

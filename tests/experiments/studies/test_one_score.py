@@ -21,6 +21,7 @@ from experiments.studies.one_score.planner import SIDE, TERMS, Scored
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import SENSING, random_moment
 from tests.support.networks import random_network
+from tests.support.refusals import refusal
 
 RULES = complete_rules(SENSING)
 WEIGHTS = np.linspace(-1, 1, len(TERMS)).astype(np.float32) / 8
@@ -158,6 +159,19 @@ def test_a_fit_finds_the_weights_behind_values():
     before = np.full(len(TERMS), 7.0)
     found = fitted([part], before)
     assert np.allclose(found, np.where(np.isin(TERMS, ("cost", "kept")), 7.0, hidden), atol=1e-4)
+
+
+def test_options_and_files_that_make_no_sense_are_refused(tmp_path):
+    other = tmp_path / "other.npz"
+    np.savez(other, names=np.array(["a/b"]))
+    text = tmp_path / "text.npz"
+    text.write_text("maps")
+    out = tmp_path / "out"
+    for file in (tmp_path / "none.npz", other, text):
+        refusal(lambda: main(Options(out=out, foreign=file)), file.name, "give --foreign")  # noqa: B023
+    refusal(lambda: main(Options(out=out, sides=(50, 8))), "--sides 8", "give")
+    refusal(lambda: main(Options(out=out, rounds=0)), "--rounds 0", "give")
+    assert not out.exists()
 
 
 @pytest.mark.slow
