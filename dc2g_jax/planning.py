@@ -1,5 +1,6 @@
 """Planners, their rules, and the planner on a robot."""
 
+from dc2g_jax._src.grid.squares import at_cells as at_cells, corner_sums as corner_sums, in_rectangle as in_rectangle
 from dc2g_jax._src.planning import frontiers as frontiers
 from dc2g_jax._src.planning.bounded import Bounded as Bounded
 from dc2g_jax._src.planning.choosing import (
@@ -7,7 +8,6 @@ from dc2g_jax._src.planning.choosing import (
     Chosen as Chosen,
     PoseValues as PoseValues,
     Situation as Situation,
-    at_cells as at_cells,
     exploring_poses as exploring_poses,
     predicted as predicted,
     unknown_share as unknown_share,
@@ -19,6 +19,7 @@ from dc2g_jax._src.planning.decisions import (
     decide as decide,
 )
 from dc2g_jax._src.planning.frontiers import unseen as unseen
+from dc2g_jax._src.planning.learned_score import LearnedScore as LearnedScore
 from dc2g_jax._src.planning.metric import MetricDecision as MetricDecision, MetricPlanner as MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap as MetricMap, MetricPose as MetricPose
 from dc2g_jax._src.planning.named import (

@@ -1,4 +1,4 @@
-"""Training of networks that predict the cost-to-go."""
+"""Training of networks that predict the cost-to-go, and of the score by which the planner chooses."""
 
 from dc2g_jax._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig as DataConfig, kept_arrays as kept_arrays
@@ -6,6 +6,7 @@ from dc2g_jax._src.training.loop import Log as Log, Pauses as Pauses, Recording 
 from dc2g_jax._src.training.losses import LOSSES as LOSSES, Loss as Loss, map_loss as map_loss, named_loss as named_loss
 from dc2g_jax._src.training.masks import moments_along as moments_along
 from dc2g_jax._src.training.pairs import TrainingSet as TrainingSet, make_pair as make_pair, turned as turned
+from dc2g_jax._src.training.score import ScoreConfig as ScoreConfig
 from dc2g_jax._src.training.step import (
     Supervised as Supervised,
     TrainingState as TrainingState,

@@ -30,6 +30,9 @@ BLANK_SIDE, _USUAL_SIDE = 40, 50
 #: Most drawings that `undo` goes back, most characters of a link, and most cells of a map in one.
 _MOST_KEPT, _LONGEST_LINK, _MOST_CELLS = 200, 4000, 2**20
 
+#: Terms of a learned score whose weights are chosen: distance and information gain.
+_WEIGHTED = np.array([planning.LearnedScore.terms.index(term) for term in ("actions", "gain")])
+
 #: Outlines of marks around the origin, as SVG has them: the robot heading right, a door, a subgoal.
 _TRIANGLE = "1,0 -.8,-.85 -.8,.85"
 _STAR = "0,-1 .25,-.34 .95,-.31 .4,.13 .59,.81 0,.42 -.59,.81 -.4,.13 -.95,-.31 -.25,-.34"
@@ -147,8 +150,8 @@ class Demo:
       terrain: the map; it may be changed.
       start: first pose of the robots.
       sensing_range: range of the field of view in cells.
-      distance_weight: cost of an action on the path to a subgoal, for `dc2g` and its variants that use the network.
-      gain_weight: weight of the information gain, for the same planners.
+      distance_weight: weight of an action on the path to a subgoal, for `dc2g` and its variants that use the network.
+      gain_weight: weight of the information gain, for the same planners; it lowers the score.
       walks: the episodes by planner.
     """
 
@@ -156,7 +159,8 @@ class Demo:
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
         self.sensing_range = planning.SETTINGS["paper"].sensing_range
         usual = _unbounded(planning.planner_with("dc2g", self._rules, estimator))
-        self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
+        actions, gain = map(float, usual.weights[_WEIGHTED] if isinstance(usual, planning.LearnedScore) else (0, 0))
+        self.distance_weight, self.gain_weight = actions, -gain
         self.walks: dict[str, Walk] = {}
         self._kept: list[tuple[UInt8[np.ndarray, "h w"], planning.RobotPose]] = []
         self.choose(next(iter(maps)))
@@ -259,13 +263,13 @@ class Demo:
         self.walks = {name: Walk(self._planner(name), terrain, self.start, self._rules) for name in self.planners}
 
     def _planner(self, name: str) -> planning.Planner:
-        """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
+        """A planner, with the chosen weights if it is one of the package with a learned score."""
         planner = planning.planner_with(name, self._rules, self._estimator)
         usual = _unbounded(planner)
-        if name not in planning.NETWORK_PLANNERS or not getattr(usual, "gain_weight", 0.0):
+        if name not in planning.NETWORK_PLANNERS or not isinstance(usual, planning.LearnedScore):
             return planner
-        selection = dataclasses.replace(usual.selection, distance_weight=self.distance_weight)
-        weighted = dataclasses.replace(usual, selection=selection, gain_weight=self.gain_weight)
+        chosen = jnp.asarray([self.distance_weight, -self.gain_weight], jnp.float32)
+        weighted = dataclasses.replace(usual, weights=jnp.asarray(usual.weights).at[_WEIGHTED].set(chosen))
         return dataclasses.replace(planner, planner=weighted) if isinstance(planner, planning.Bounded) else weighted
 
     def step(self) -> bool:

@@ -1,5 +1,6 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
+from .drawn import plain_training_maps as plain_training_maps
 from .plain import halls as halls, mazes as mazes, offices as offices, plain_maps as plain_maps, with_door as with_door
 from .procedural import (
     procedural_dataset as procedural_dataset,

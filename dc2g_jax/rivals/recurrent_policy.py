@@ -26,7 +26,17 @@ from dc2g_jax.grid import (
     bitboard,
     poses,
 )
-from dc2g_jax.planning import Assessment, ChoosingPlanner, Chosen, PoseValues, Situation, at_cells, frontiers
+from dc2g_jax.planning import (
+    Assessment,
+    ChoosingPlanner,
+    Chosen,
+    PoseValues,
+    Situation,
+    at_cells,
+    corner_sums,
+    frontiers,
+    in_rectangle,
+)
 
 #: Blocks around the robot: nine at each scale, three by three, of 3, 9, 27 and 81 cells a side. Those of a scale fill
 #: the middle one of the next.
@@ -166,20 +176,12 @@ def policy_inputs(belief: Belief, situation: Situation, sensing: Kernel) -> Poli
       sensing: the robot's field of view.
     """
     height, width, batch = belief.height, belief.width, belief.pose.x.ndim
-    sums = jnp.cumsum(jnp.cumsum(_planes(belief, situation), axis=1, dtype=jnp.int32), axis=2)
-    sums = jnp.pad(sums, [(0, 0), (1, 0), (1, 0), *[(0, 0)] * batch])
+    sums = corner_sums(_planes(belief, situation), lead=1)
 
     def shares(x: Array, y: Array, radius: Int[np.ndarray, "block"]) -> Float[Array, "block plane *batch"]:
         """Shares in squares around cells."""
         radius = radius.reshape(-1, *(1,) * batch)
-        left, right = (jnp.clip(x + end, 0, width) for end in (-radius, radius + 1))
-        top, bottom = (jnp.clip(y + end, 0, height) for end in (-radius, radius + 1))
-        counts = (
-            at_cells(sums, right, bottom)
-            - at_cells(sums, left, bottom)
-            - at_cells(sums, right, top)
-            + at_cells(sums, left, top)
-        )
+        counts = in_rectangle(sums, x - radius, y - radius, x + radius + 1, y + radius + 1)
         return jnp.moveaxis(counts / (2 * radius + 1) ** 2, 0, 1).astype(jnp.float32)
 
     ahead_x, ahead_y, right_x, right_y = _turned(belief.pose)

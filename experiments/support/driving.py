@@ -13,7 +13,6 @@ from dc2g_jax._src.grid.label_noise import scaled
 from dc2g_jax._src.grid.sensing import line_of_sight
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.planning.selection import ENDLESS
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
@@ -72,8 +71,7 @@ def equipment(
     rules = complete_rules(_SENSING_RANGE, line_of_sight)
     width, height = options.image_size
     return Equipment(
-        # The planner decides every second, even if the robot has not moved, so decisions do not measure dwell times.
-        planner=planner_with(planner, rules, estimator, patience=ENDLESS),
+        planner=planner_with(planner, rules, estimator),
         sensing=rules.sensing,
         camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
         mapping=MapSettings(*size, cell_size=CELL_SIZE),

@@ -1,6 +1,7 @@
 """What the page of `dc2g demo` shows, without the page."""
 
 import base64
+import dataclasses
 import io
 
 import numpy as np
@@ -14,17 +15,21 @@ from dc2g_jax._src.figures.costs import COST_COLORS
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.planning.decisions import RobotPose
+from dc2g_jax._src.planning.learned_score import TERMS
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax.demo.robots import Demo, Walk, cost_picture, map_picture, open_dropped, open_maps, walk_marks
-from tests.oracles import numpy_gridworld as oracle
+from tests.oracles import learned_score_oracle, numpy_gridworld as oracle
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
 from tests.support.toy import HOUSE
 
 START = RobotPose(9, 6, 0)
 SENSING = 3
+
+#: Weights of the score of the network.
+SCORE = dict(zip(TERMS, np.linspace(-2, 2, len(TERMS), dtype=np.float32), strict=True))
 
 
 def pixels(url: str) -> np.ndarray:
@@ -37,7 +42,8 @@ def colored(name: str) -> list[int]:
 
 @pytest.fixture
 def demo() -> Demo:
-    return Demo({"toy": HOUSE.terrain}, ["frontier"], random_network(Architecture(widths=(4, 4, 4, 4))))
+    network = dataclasses.replace(random_network(Architecture(widths=(4, 4, 4, 4))), score=SCORE)
+    return Demo({"toy": HOUSE.terrain}, ["frontier"], network)
 
 
 def walked(name: str) -> Walk:
@@ -106,14 +112,21 @@ def test_marks_tell_of_each_candidate(frontier):
 
 def test_weights_and_range_are_the_planner_s(demo):
     demo.planners, demo.start, demo.sensing_range = ["dc2g"], START._replace(heading=2), 5
-    demo.distance_weight, demo.gain_weight = 1.5, 0.0
+    assert (demo.distance_weight, demo.gain_weight) == (SCORE["actions"], -SCORE["gain"])
+    demo.distance_weight, demo.gain_weight = 1.5, 4.0
     demo.begin()
     demo.step()
     snapshot = demo.walks["dc2g"].snapshots[0]
     assert np.hypot(*(np.argwhere(snapshot.seen) - START[1::-1]).T).max() <= 5 < 6
-    assert len(snapshot.decision.candidates) > 1
-    for candidate in snapshot.decision.candidates:
-        assert candidate.score == pytest.approx(candidate.cost_to_go + 1.5 * candidate.distance, rel=1e-4)
+    grid = np.where(snapshot.seen, HOUSE.terrain, 0)
+    reached = oracle.reachable(TRAVERSABLE[grid], *START[:2])
+    revealing = oracle.frontier_expanding_complete(snapshot.seen, reached, demo.start, 5)
+    wanted = learned_score_oracle.candidates(
+        grid, demo.start, revealing, None, snapshot.cost_to_go, SCORE | {"actions": 1.5, "gain": -4.0}, 5
+    )
+    assert len(wanted) > 1
+    scores = {candidate[:3]: candidate.score for candidate in snapshot.decision.candidates}
+    assert scores == pytest.approx({candidate.pose: candidate.score for candidate in wanted}, rel=1e-4)
 
 
 def test_no_weight_is_added_to_algorithm_2(demo):

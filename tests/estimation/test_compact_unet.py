@@ -18,8 +18,7 @@ from dc2g_jax._src.estimation.weights import shapes_of_weights
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import DC2G
-from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.planning.planners import summarized
 from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
 from dc2g_jax._src.runtime.errors import InputError
 from tests.support import maps
@@ -252,6 +251,6 @@ def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
     jax.tree.map(np.testing.assert_array_equal, loaded.weights, network.weights)
     outcomes = loaded.estimate(terrain, ())
     for selection in (ExpectedCost(0.5), QuantileCost(0.7, 0.5)):
-        told = DC2G(loaded, SETTINGS["paper"].rules(), selection)._told(terrain, ())
+        told = summarized(loaded, selection.summary, terrain, ())
         np.testing.assert_allclose(told, selection.summary(outcomes), rtol=1e-5)
     dc2g.check_planner(dc2g.make_planner("dc2g", network=loaded))

@@ -14,7 +14,7 @@ from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sampling import nearest_pixel
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.planners import DC2G
+from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
 from dc2g_jax._src.planning.rules import complete_rules
 from experiments.benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
 from tests.support import maps
@@ -148,12 +148,12 @@ def test_an_estimator_without_an_extent_is_asked_about_the_whole_map():
 def test_a_planner_keeps_what_has_left_the_window(street):
     rules, window = complete_rules(2), Window(side=4, prior=77.0)
     # The map is asked about as it is, then mirrored: the window is mirrored, not moved.
-    planner = DC2G(WindowedEstimator(Places(), window), rules, views=((), (1,)))
+    planner = LearnedScore(rules, jnp.zeros(len(TERMS)), WindowedEstimator(Places(), window), replan_fraction=0.0)
     world = World.from_terrain(street)
     belief = gridworld.reset(world, make_pose(9, 5, 2), rules.sensing)
     step = jax.jit(functools.partial(gridworld.step, sensing=rules.sensing))
     plan, state = jax.jit(planner.plan), planner.init(world)
-    np.testing.assert_array_equal(state.choice.estimates, 77)
+    np.testing.assert_array_equal(state.estimates, 77)
     wanted = np.full((2, *street.shape), 77, np.float32)
     for turn in range(4):
         terrain, pose = np.asarray(belief.terrain), jax.device_get(belief.pose)
@@ -165,6 +165,6 @@ def test_a_planner_keeps_what_has_left_the_window(street):
         # The planner keeps the mean of the outcomes.
         latest = np.where(np.isnan(part[0]), wanted[0], part.mean(axis=0))
         wanted = np.stack([latest, latest if turn == 0 else wanted[0]])
-        np.testing.assert_allclose(np.stack(state.choice.estimates)[:, 0], wanted)
+        np.testing.assert_allclose(np.stack(state.estimates)[:, 0], wanted)
         belief = step(world, belief, jnp.int32(0))
     assert len(np.unique(wanted[0] == 77)) == 2

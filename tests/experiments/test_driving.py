@@ -6,12 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.files.rows import ResumableTable
-from dc2g_jax._src.planning.planners import DC2G, Frontier
-from dc2g_jax._src.planning.selection import ENDLESS
 from experiments import noisy_mapping, reproduce_fig9
-from experiments.support.driving import DriveResult, DrivingOptions, equipment
+from experiments.support.driving import DriveResult
 from tests.support.refusals import refusal
 from tests.support.streets import STREET
 
@@ -102,11 +99,3 @@ def test_kept_drives_that_are_not_of_this_run_are_refused(tmp_path, lines, menti
         table.next_results(asked, lambda: pytest.fail("they are there"))
 
     refusal(resume, *mentions)
-
-
-@pytest.mark.parametrize(("planner", "kind"), [("dc2g", DC2G), ("frontier", Frontier)])
-def test_on_wheels_patience_has_no_end(planner, kind):
-    found = equipment(planner, ExactCostToGo(), (20, 20), 0.0, DrivingOptions()).planner
-    assert isinstance(found, kind)
-    if isinstance(found, DC2G):
-        assert (found.patience, found.rim_width, len(found.views)) == (ENDLESS, 1, 2)

@@ -21,13 +21,6 @@ from experiments.support import bars
 from tests.support import toy
 
 
-@pytest.mark.parametrize(
-    ("ends", "shown"), [((0.65, 1.02), [0.7, 0.8, 0.9, 1]), ((0.08, 3.2), [0.1, 0.3, 1, 3]), ((0.97, 1.03), [0.98, 1])]
-)
-def test_ratios_are_shown_at_round_numbers(ends, shown):
-    assert figures._round_numbers(*ends, most=4) == pytest.approx(shown)
-
-
 def _results(houses, planners=("oracle", "frontier", "dc2g"), episodes=3):
     return [
         toy.RESULTS["dc2g"]._replace(house=house, planner=planner, extra=10.0 * number)

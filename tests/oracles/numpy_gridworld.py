@@ -335,38 +335,6 @@ def revealing_poses(
     return poses & revealing if (poses & revealing).any() else revealing
 
 
-def opening_poses(poses: Array, seen: Array, rim_width: int, sensing_radius: int) -> Array:
-    """Those of `poses` (bool [4 h w]) that see a cell farther than `rim_width` moves from all that has been seen."""
-    near = seen
-    for _ in range(rim_width):
-        near = near | _neighbor_of(near)
-    return poses & np.stack([_sources(~near, sensing_offsets(sensing_radius, heading)) for heading in range(4)])
-
-
-def newly_seen(poses: Array, seen: Array, sensing_radius: int) -> Array:
-    """Most cells that would be seen for the first time in one of each cell's `poses` (bool [4 h w]): int [h w]."""
-    new = np.stack([_counts(~seen, sensing_offsets(sensing_radius, heading)) for heading in range(4)])
-    return np.where(poses, new, 0).max(axis=0)
-
-
-def facing_most_unseen(poses: Array, seen: Array) -> Array:
-    """Of each cell's `poses` (bool [4 h w]) those with the most unseen cells in the rows or columns ahead of them."""
-    height, width = seen.shape
-    ahead = np.zeros(poses.shape, int)
-    for y in range(height):
-        for x in range(width):
-            ahead[:, y, x] = [(~part).sum() for part in (seen[:, x + 1 :], seen[y + 1 :], seen[:, :x], seen[:y])]
-    return poses & (ahead == np.where(poses, ahead, -1).max(axis=0))
-
-
-def penalties(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
-    """What each cell [h w] costs more after decisions in these poses."""
-    near = np.zeros(shape, int)
-    for x, y, _ in been:
-        near[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1] += 1
-    return price * np.maximum(0, near - decisions)
-
-
 def run_episode(
     terrain: Array,
     pose: Pose,
@@ -378,33 +346,22 @@ def run_episode(
     max_steps: int,
     cost_to_go: CostToGo | None = None,
     goals: Array | None = None,
-    rim_width: int = 0,
-    patience: tuple[int, int, float] | None = None,
-    new_cell: float = 0.0,
-    replan_fraction: int = 1,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
-    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `rim_width`
-    cells if it can. `patience` is a radius, a number of decisions and a price: cells with more decisions than that made
-    at most the radius to their side cost the price more for each. A cell that would be seen for the first time takes
-    `new_cell` off the cost of where it would be seen from. The choice holds until `replan_fraction` cells are newly
-    seen or none of the chosen poses reveals anything.
-    A start on a goal cell is a success without an action.
+    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed. It chooses anew at every
+    step. A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
     goals = terrain == FRONT_DOOR if goals is None else goals
     oracle_actions = shortest_actions(traversable, pose, np.stack([goals] * 4)) if planner == "oracle" else None
     seen = visible(pose, sensing_radius, terrain.shape)
     letters: list[str] = []
-    been: list[Pose] = []
-    chosen, seen_at_choice = np.zeros((4, *terrain.shape), bool), np.zeros_like(seen)
     mode: Mode = "explore"
     while not goals[pose[1], pose[0]]:
         if len(letters) == max_steps:
             return False, "".join(letters), mode
-        been.append(pose)
         free = seen & traversable
         reached = reachable(free, pose[0], pose[1])
         actions: list[int] | None
@@ -417,19 +374,8 @@ def run_episode(
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
                 assert cost_to_go is not None
-                revealing = explore_poses(seen, reached, pose, rules="complete", **radii)
-                if (seen & ~seen_at_choice).sum() >= replan_fraction or not (chosen & revealing).any():
-                    poses = revealing_poses(poses, seen, reached, pose, **radii)
-                    opening = opening_poses(poses, seen, rim_width, sensing_radius)
-                    poses = opening if opening.any() else poses
-                    observed = np.where(seen, terrain, 0)
-                    costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
-                    if patience:
-                        costs = costs + penalties(been, terrain.shape, *patience)
-                    if new_cell:
-                        costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
-                    chosen, seen_at_choice = lowest_cost_poses(poses, costs), seen.copy()
-                poses = chosen & revealing
+                costs = cost_to_go(seen, np.where(seen, terrain, 0)) if callable(cost_to_go) else cost_to_go
+                poses = lowest_cost_poses(revealing_poses(poses, seen, reached, pose, **radii), costs)
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:
             return False, "".join(letters), "gave_up"

@@ -3,7 +3,6 @@
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -48,47 +47,6 @@ def test_both_rules(shape, seed, density):
     np.testing.assert_array_equal(reference, oracle.frontier_expanding_reference(seen, wanted, pose, EXPANDING))
     for board in boards:
         assert not (np.asarray(board) & ~bitboard.full(*shape)).any(), "padding must stay zero"
-
-
-@functools.cache
-def opening_set(rim_width: int, width: int):
-    def run(terrain, seen, pose, candidates):
-        belief = belief_of(terrain, seen, pose)
-        candidates = jnp.stack([bitboard.pack(cells) for cells in candidates])
-        return poses.unpack(frontiers.opening(belief, candidates, field_of_view(SENSING), rim_width), width)
-
-    return jax.jit(run)
-
-
-@pytest.mark.parametrize("shape", [(1, 33), (13, 32), (7, 65)], ids="{0[0]}x{0[1]}".format)
-@pytest.mark.parametrize("rim_width", [0, 1, 2])
-@given(seed=maps.seeds)
-@settings(max_examples=10)
-def test_poses_that_open_ground(shape, rim_width, seed):
-    terrain, seen, pose = random_moment(seed, shape, 0.75)
-    candidates = np.random.default_rng(seed).random((4, *shape)) < 0.3
-    found = opening_set(rim_width, shape[1])(terrain, seen, pose, candidates)
-    np.testing.assert_array_equal(found, oracle.opening_poses(candidates, seen, rim_width, SENSING))
-
-
-@functools.cache
-def facing_set(width: int):
-    def run(terrain, seen, pose, pose_set):
-        packed = poses.pack(jnp.asarray(pose_set))
-        return poses.unpack(frontiers.facing_most(belief_of(terrain, seen, pose), packed), width)
-
-    return jax.jit(run)
-
-
-@pytest.mark.parametrize("shape", [(1, 33), (13, 32), (7, 65)], ids="{0[0]}x{0[1]}".format)
-@given(seed=maps.seeds)
-@settings(max_examples=10)
-def test_poses_that_face_most_of_what_has_not_been_seen(shape, seed):
-    terrain, seen, pose = random_moment(seed, shape, 0.75)
-    some = np.random.default_rng(seed).random((4, *shape)) < 0.5
-    found = np.asarray(facing_set(shape[1])(terrain, seen, pose, some))
-    np.testing.assert_array_equal(found, oracle.facing_most_unseen(some, seen))
-    np.testing.assert_array_equal(found.any(axis=0), some.any(axis=0))
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -1,25 +1,25 @@
 """Planners by name."""
 
-import dataclasses
-
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
-from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.planning.bounded import Bounded
+from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore, weights_of
 from dc2g_jax._src.planning.named import (
     NETWORK_PLANNERS,
     NETWORK_RIVALS,
     PLANNERS,
-    STEP_PATIENCE,
     check_names,
     make_planner,
+    open_estimator,
     planner_with,
 )
-from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, any_heading
+from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
-from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, QuantileCost
+from dc2g_jax._src.planning.selection import ExpectedCost
 from experiments.benchmarks.extents import CroppedEstimator, WindowedEstimator
 from experiments.translator.network import TranslatorArchitecture, TranslatorCostToGo
 from tests.support.refusals import refusal
@@ -40,7 +40,7 @@ def test_make_planner():
     assert planner_with("frontier", RULES) == Frontier(RULES)
     assert planner_with("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
     for name, on_network in NETWORK_PLANNERS.items():
-        assert planner_with(name, RULES, estimator) == on_network(estimator, RULES)
+        assert repr(planner_with(name, RULES, estimator)) == repr(on_network(estimator, RULES))
     # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     assert planner_with("dc2g", RULES, translator) == DC2G(translator, RULES)
@@ -53,20 +53,27 @@ def test_a_planner_shows_itself_without_private_modules(name):
     assert "_src" not in shown, shown
 
 
-def test_planners_on_a_network_have_the_parameters_that_were_chosen():
-    names = ("dc2g_paper", "dc2g", "dc2g_uncertain", "dc2g_bounded")
-    paper, dc2g, uncertain, bounded = (NETWORK_PLANNERS[name](ExactCostToGo(), RULES) for name in names)
-    assert paper == DC2G(ExactCostToGo(), RULES)
-    alone = dc2g.planner
-    assert alone.selection == ExpectedCost(distance_weight=0.5)
-    assert (alone.rim_width, alone.views, alone.gain_weight, alone.replan_fraction) == (1, ((), (1,)), 3.0, 1 / 3)
-    of_towns = {"factor": 2.5, "slack": 0.0, "actions": 50.0, "renewed": 0.3, "where": in_town, "free_side": 50}
-    assert dc2g == Bounded(alone, alone.rules, **of_towns)
-    quantile = dataclasses.replace(alone, selection=QuantileCost(level=0.7, distance_weight=0.5))
-    assert uncertain == dataclasses.replace(dc2g, planner=quantile)
-    assert bounded == Bounded(alone, alone.rules, factor=2.0, slack=3.0)
-    # Where a decision is not an action, there is no bound on actions.
-    assert type(NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, ENDLESS)) is DC2G
+def test_planners_on_a_network_go_by_the_score_that_was_learned_with_it():
+    learned = {term: np.float32(number) for number, term in enumerate(TERMS)}
+    network = NetworkCostToGo(weights=(), architecture=Architecture(), score=learned)
+    for estimator, score in ((network, learned), (ExactCostToGo(), open_estimator(None).score)):
+        dc2g, uncertain, bounded = (
+            NETWORK_PLANNERS[name](estimator, RULES) for name in ("dc2g", "dc2g_uncertain", "dc2g_bounded")
+        )
+        for planner in (dc2g, uncertain):
+            assert isinstance(planner, LearnedScore)
+            assert planner.estimator is estimator
+            np.testing.assert_array_equal(planner.weights, weights_of(score))
+        assert repr(bounded) == repr(Bounded(dc2g, dc2g.rules, factor=2.0, slack=3.0))
+        outcomes = jnp.arange(10.0).reshape(10, 1, 1)
+        assert (dc2g.summary(outcomes).item(), uncertain.summary(outcomes).item()) == (4.5, 7.0)
+
+
+def test_the_papers_planner_is_that_of_the_paper():
+    """The values of Algorithm 2, written out."""
+    reference = SETTINGS["reference"].rules()
+    planner = planner_with("dc2g_paper", reference, ExactCostToGo())
+    assert planner == DC2G(ExactCostToGo(), reference, selection=ExpectedCost(distance_weight=0.0))
 
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
@@ -78,29 +85,12 @@ def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
         assert planner.rules.goal_poses is (reference if name == "dc2g_paper" else RULES).goal_poses
 
 
-def test_the_papers_planner_is_that_of_the_paper():
-    """The values of Algorithm 2, written out. Its patience never ends, even where decisions count."""
-    reference = SETTINGS["reference"].rules()
-    planner = planner_with("dc2g_paper", reference, ExactCostToGo(), patience=STEP_PATIENCE)
-    assert planner == DC2G(
-        ExactCostToGo(),
-        reference,
-        selection=ExpectedCost(distance_weight=0.0),
-        rim_width=0,
-        views=((),),
-        gain_weight=0.0,
-        headings=any_heading,
-        patience=ENDLESS,
-        replan_fraction=0.0,
-    )
-
-
 def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     network = NetworkCostToGo(weights=(), architecture=Architecture())
     for wrapped in (CroppedEstimator, WindowedEstimator):
         assert planner_with("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
-        assert planner_with("dc2g", RULES, wrapped(network)) == NETWORK_PLANNERS["dc2g"](wrapped(network), RULES)
+        assert isinstance(planner_with("dc2g", RULES, wrapped(network)), LearnedScore)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +106,7 @@ def test_make_takes_settings_and_the_network_from_where_it_is_told():
     assert make_planner("frontier") == Frontier(complete_rules(8))
     assert make_planner("frontier", settings="published") == Frontier(SETTINGS["published"].rules())
     assert make_planner("true_cost_to_go", settings=SETTINGS["paper"], sensing_range=4) == DC2G(ExactCostToGo(), RULES)
-    assert make_planner("dc2g", network=ExactCostToGo()) == NETWORK_PLANNERS["dc2g"](ExactCostToGo(), complete_rules(8))
+    assert make_planner("dc2g", network=ExactCostToGo()).estimator == ExactCostToGo()
     assert isinstance(make_planner("dc2g").estimator, NetworkCostToGo)
     refusal(lambda: make_planner("frontier", sensing_range=65), "sensing range 65", "1 to 64")
     refusal(lambda: make_planner("dc2g", network="no_such_folder"), "no_such_folder", "no such file")
@@ -132,10 +122,8 @@ def narrow_estimator():
 
 def test_an_estimator_of_the_users_own_goes_by_its_name():
     module = ExactCostToGo.__module__
-    assert make_planner("dc2g", network=f"{module}:ExactCostToGo") == make_planner("dc2g", network=ExactCostToGo())
-    assert make_planner("dc2g", network=f"{__name__}:narrow_estimator") == make_planner(
-        "dc2g", network=narrow_estimator()
-    )
+    assert make_planner("dc2g", network=f"{module}:ExactCostToGo").estimator == ExactCostToGo()
+    assert make_planner("dc2g", network=f"{__name__}:narrow_estimator").estimator == narrow_estimator()
     refusal(lambda: make_planner("dc2g", network=f"{__name__}:refusal"), ":refusal'", "called without arguments")
     for wrong in ("Plain", "RULES"):
         refusal(

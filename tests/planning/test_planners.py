@@ -16,7 +16,7 @@ from dc2g_jax._src.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax._src.grid.terrain import OPAQUE
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.frontiers import facing_most
+from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import (
     DC2G,
@@ -27,11 +27,10 @@ from dc2g_jax._src.planning.planners import (
     Frontier,
     Oracle,
     Planner,
-    any_heading,
     assess,
 )
 from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
-from dc2g_jax._src.planning.selection import ExpectedCost, Patience
+from dc2g_jax._src.planning.selection import ExpectedCost
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.errors import InputError
@@ -43,6 +42,7 @@ from tests.support.exploration import (
     SENSING,
     STEP_LIMIT,
     LowestColumn,
+    NoNumber,
     Scattered,
     belief_of,
     random_moment,
@@ -65,7 +65,7 @@ def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
     )
 
 
-def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_to_go=lambda index: None, **more):
+def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_to_go=lambda index: None):
     for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         success, actions, mode = oracle.run_episode(
             terrain,
@@ -76,7 +76,6 @@ def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_
             expanding_radius=EXPANDING,
             max_steps=STEP_LIMIT,
             cost_to_go=cost_to_go(index),
-            **more,
         )
         assert action_letters(done, index) == actions, (index, pose)
         assert (bool(done.success[index]), MODE_NAMES[done.mode[index]]) == (success, mode)
@@ -131,83 +130,6 @@ def test_dc2g_episodes_with_an_estimator_of_what_was_observed(rules):
     check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: scattered)
 
 
-@both_rules
-def test_the_papers_planner_is_algorithm_2_decided_anew_at_every_step(rules):
-    terrains, starts = random_worlds((11, 33), 1500)
-    done = run(planner_with("dc2g_paper", RULES[rules], Scattered()), terrains, starts)
-    cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=0)
-    with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
-
-
-@complete_rules_first
-@pytest.mark.parametrize("rim_width", [1, 2])
-def test_dc2g_prefers_what_opens_ground(rules, rim_width):
-    terrains, starts = random_worlds((11, 33), 700)
-    done = run(DC2G(Scattered(), RULES[rules], rim_width=rim_width), terrains, starts)
-    cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, rim_width=rim_width)
-    with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
-
-
-@complete_rules_first
-def test_dc2g_loses_patience_with_where_it_has_been_for_long(rules):
-    terrains, starts = random_worlds((11, 33), 500)
-    done = run(DC2G(Scattered(), RULES[rules], patience=Patience(radius=3, decisions=4, price=0.5)), terrains, starts)
-    cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, patience=(3, 4, 0.5))
-    with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
-
-
-@complete_rules_first
-def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
-    terrains, starts = random_worlds((11, 33), 900)
-    gain_weight = 0.5 * len(field_of_view(SENSING).offsets[0])
-    done = run(DC2G(Scattered(), RULES[rules], gain_weight=gain_weight), terrains, starts)
-    cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, new_cell=0.5)
-    with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
-
-
-@complete_rules_first
-def test_dc2g_keeps_to_its_choice_until_much_is_new(rules):
-    terrains, starts = random_worlds((11, 33), 1300)
-    in_view = len(field_of_view(SENSING).offsets[0])
-    done = run(DC2G(Scattered(), RULES[rules], replan_fraction=7 / in_view), terrains, starts)
-    cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
-    with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
-
-
-class InTurn:
-    """Asks about what has been observed as it is and mirrored, in turn, and gives the mean of the last two answers."""
-
-    def __init__(self) -> None:
-        self.seen, self.answers = None, []
-
-    def __call__(self, seen, terrain):
-        if self.seen is None or (seen != self.seen).any():
-            mirrored = len(self.answers) % 2
-            answer = scattered(None, terrain[:, ::-1] if mirrored else terrain)
-            self.answers.append(answer[:, ::-1] if mirrored else answer)
-            self.seen = seen.copy()
-        return np.mean(self.answers[-2:], axis=0)
-
-
-@complete_rules_first
-def test_dc2g_goes_by_the_mean_of_views_asked_about_in_turn(rules):
-    terrains, starts = random_worlds((11, 33), 1100)
-    done = run(DC2G(Scattered(), RULES[rules], views=((), (1,))), terrains, starts)
-    check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: InTurn())
-    with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: scattered)
-
-
 @functools.cache
 def deciding(planner, width: int):
     def decide(terrain, seen, pose):
@@ -242,14 +164,9 @@ def test_dc2g_chooses_the_lowest_cost_to_go_and_of_equals_the_nearest(rules):
 
 
 @both_rules
-@pytest.mark.parametrize("new_cell", [0.0, 0.25])
-def test_dc2g_weighs_the_distance_to_a_subgoal(rules, new_cell):
-    shape, decided, turned, weight = (7, 33), 0, 0, 0.5
-    gain_weight = new_cell * len(field_of_view(SENSING).offsets[0])
-    headings = facing_most if new_cell else any_heading
-    decide = deciding(
-        DC2G(Scattered(), RULES[rules], ExpectedCost(weight), gain_weight=gain_weight, headings=headings), 33
-    )
+def test_dc2g_weighs_the_distance_to_a_subgoal(rules):
+    shape, decided, weight = (7, 33), 0, 0.5
+    decide = deciding(DC2G(Scattered(), RULES[rules], ExpectedCost(weight)), 33)
     for seed in range(40):
         terrain, seen, pose = random_moment(seed, shape, 0.8)
         terrain = np.where(terrain == oracle.FRONT_DOOR, 3, terrain).astype(np.uint8)
@@ -269,16 +186,11 @@ def test_dc2g_weighs_the_distance_to_a_subgoal(rules, new_cell):
         distance = np.where(candidates, oracle.distances_from(free, pose), np.inf)
         nearest = candidates & (distance == distance.min(axis=0))
         score = scattered(seen, np.where(seen, terrain, 0)) + weight * distance.min(axis=0)
-        if new_cell:
-            score = score - new_cell * oracle.newly_seen(candidates, seen, SENSING)
-            facing = oracle.facing_most_unseen(nearest, seen)
-            turned, nearest = turned + int((facing != nearest).any()), facing
         best = nearest & (score == score[candidates.any(axis=0)].min())
         np.testing.assert_array_equal(subgoals, best)
         actions = oracle.shortest_actions(free, pose, best)
         assert (int(plan.mode), int(plan.action), int(plan.length)) == (EXPLORE, actions[0], len(actions))
     assert decided > 20
-    assert (turned > 10) == (new_cell > 0)
 
 
 @both_rules
@@ -311,14 +223,13 @@ def seen_past_obstacles(terrain, pose):
     return oracle.visible_past(OPAQUE[terrain], pose, SENSING)
 
 
-#: Planners to explore with, by name; the price of the impatient one is just below its distance weight.
+#: Planners to explore with, by name. For "learned", far is better than near.
 EXPLORERS = {
     "frontier": Frontier,
     "dc2g": lambda rules: DC2G(Scattered(), rules),
-    "impatient": lambda rules: DC2G(
-        Scattered(), rules, ExpectedCost(0.5), patience=Patience(radius=4, decisions=3, price=0.4375)
-    ),
-    "curious": lambda rules: DC2G(Scattered(), rules, ExpectedCost(0.5), gain_weight=20.0, headings=facing_most),
+    "near": lambda rules: DC2G(Scattered(), rules, ExpectedCost(0.5)),
+    "learned": lambda rules: LearnedScore(rules, jnp.linspace(-2, 2, len(TERMS)), Scattered()),
+    "learned alone": lambda rules: LearnedScore(rules, jnp.linspace(2, -2, len(TERMS))),
 }
 
 
@@ -327,11 +238,12 @@ EXPLORERS = {
     [
         ("frontier", RULES["complete"], seen_without_occlusion),
         ("dc2g", RULES["complete"], seen_without_occlusion),
-        pytest.param("impatient", RULES["complete"], seen_without_occlusion, marks=pytest.mark.slow),
-        ("curious", RULES["complete"], seen_without_occlusion),
+        pytest.param("near", RULES["complete"], seen_without_occlusion, marks=pytest.mark.slow),
+        ("learned", RULES["complete"], seen_without_occlusion),
+        ("learned alone", RULES["complete"], seen_without_occlusion),
         ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
         ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
-        pytest.param("curious", complete_rules(SENSING, line_of_sight), seen_past_obstacles, marks=pytest.mark.slow),
+        pytest.param("learned", complete_rules(SENSING, line_of_sight), seen_past_obstacles, marks=pytest.mark.slow),
     ],
 )
 def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner, rules, visible):
@@ -366,14 +278,6 @@ def test_a_robot_never_drives_where_it_cannot(rules):
             assert terrains[index][pose[1], pose[0]] in oracle.TRAVERSABLE_CLASSES
 
 
-@struct.dataclass
-class NoNumber(ExactCostToGo):
-    """An estimator that answers with no number, as a network that has diverged does."""
-
-    def estimate(self, terrain, state):
-        return jnp.full_like(super().estimate(terrain, state), jnp.nan)
-
-
 @complete_rules_first
 def test_a_robot_gives_up_where_estimates_are_no_numbers(rules):
     terrains, starts = random_worlds((11, 33), 600)
@@ -394,24 +298,25 @@ def test_an_estimator_without_an_axis_of_outcomes_is_refused():
         def estimate(self, terrain, state):
             return super().estimate(terrain, state)[0]
 
-    planner = DC2G(Flat(), RULES["complete"], views=((), (1,)))
+    planner = DC2G(Flat(), RULES["complete"])
     with pytest.raises(InputError, match=r"Flat answers with \[11, 33\] for a map of \[11, 33\]; give \[outcomes"):
         planner.init(World.from_terrain(maps.random_terrain(0, (11, 33), 0.85)))
 
 
-def test_what_is_left_of_a_state_on_a_map_that_has_changed():
+@pytest.mark.parametrize("kind", [EXPLORERS["dc2g"], EXPLORERS["learned"]])
+def test_what_is_left_of_a_state_on_a_map_that_has_changed(kind):
     terrain = maps.random_terrain(600, (11, 33), 0.85, doors=0)
-    planner = DC2G(ExactCostToGo(), RULES["complete"], views=((), (1,)))
+    planner = kind(RULES["complete"])
     pose = maps.random_pose(600, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
     belief = belief_from_map(terrain, make_pose(*pose))
     _, state = planner.plan(belief, planner.init(World.from_terrain(terrain)))
     nothing = jnp.zeros_like(belief.seen)
-    state = state._replace(choice=state.choice._replace(estimated_from=belief.seen))
+    state = state._replace(chosen_from=belief.seen)
     same, other = planner.revised(state, nothing), planner.revised(state, nothing.at[0, 4].set(1))
     assert not same.reachable.any()
     assert not other.reachable.any()
-    assert (same.choice.estimated_from == belief.seen).all()
-    assert int(jnp.sum(other.choice.estimated_from != belief.seen)) == 1  # the estimator is asked anew
+    assert (same.chosen_from == belief.seen).all()
+    assert int(jnp.sum(other.chosen_from != belief.seen)) == 1  # it is time for another choice
     assert Frontier(RULES["complete"]).revised(state.reachable, nothing).sum() == 0
     known = Oracle().init(World.from_terrain(terrain))
     assert Oracle().revised(known, nothing) is known

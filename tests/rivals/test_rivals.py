@@ -15,7 +15,7 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.choosing import Situation, exploring_poses, in_square
+from dc2g_jax._src.planning.choosing import Situation, exploring_poses
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, planner_with
 from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
@@ -208,12 +208,6 @@ def test_episodes_of_the_right_hand_rule():
 
 
 # --- what they compute ---------------------------------------------------------------------------------
-
-
-def test_cells_in_squares():
-    cells = np.random.default_rng(0).random((9, 14)) < 0.4
-    for radius in (1, 3, 20):
-        np.testing.assert_array_equal(in_square(jnp.asarray(cells), radius), square_counts(cells, radius))
 
 
 def random_regions(rng, count):

@@ -104,3 +104,11 @@ class Scattered:
         )
         unknown = jnp.sum(terrain == 0, axis=(0, 1))
         return ((7 * x + 5 * y + unknown + terrain) % 11).astype(jnp.float32)[None]
+
+
+@struct.dataclass
+class NoNumber(Scattered):
+    """An estimator that answers with no number, as a network that has diverged does."""
+
+    def estimate(self, terrain, state):
+        return jnp.full_like(super().estimate(terrain, state), jnp.nan)

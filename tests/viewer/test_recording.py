@@ -16,10 +16,10 @@ from dc2g_jax._src.figures.results_figures import PLANNER_STYLES
 from dc2g_jax._src.grid.poses import FORWARD, make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore, weights_of
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, MODE_NAMES
 from dc2g_jax._src.planning.rules import SETTINGS
-from dc2g_jax._src.planning.selection import ExpectedCost, Patience
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.results import EpisodeResult
@@ -28,6 +28,7 @@ from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.viewer import legend
 from dc2g_jax._src.viewer.recording import record_episode, record_frames
 from tests.oracles import numpy_gridworld as oracle
+from tests.oracles.learned_score_oracle import Chooser
 from tests.support import toy
 from tests.support.exploration import LowestColumn, PlanAlone
 from tests.support.recordings import read
@@ -208,42 +209,29 @@ class _Slope:
 
 
 def test_scores_are_those_the_planner_goes_by():
-    """Views in turn, each asked again only when something new is seen; distance, rim, gain and patience count."""
-    patience = Patience(radius=3, decisions=6, price=0.25)
-    selection, views = ExpectedCost(distance_weight=0.5), ((), (1,))
-    gain_weight = 0.25 * len(_RULES.sensing.offsets[0])
-    planner = DC2G(_Slope(), _RULES, selection, rim_width=1, views=views, gain_weight=gain_weight, patience=patience)
+    """The map and its mirror image are asked about in turn, and scores are those of the last choice."""
+    weights = dict(zip(TERMS, np.random.default_rng(0).normal(size=len(TERMS)).round(2).tolist(), strict=True))
+    planner = LearnedScore(_RULES, weights_of(weights), _Slope())
     actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
     world = World.from_terrain(_TERRAIN)
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
-    height, width = _TERRAIN.shape
-    from_left = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
-    latest, asked_about, turn = [], None, 0
-    decided_near = np.zeros((height, width), int)
-    rows, columns = np.indices((height, width))
+
+    def estimate(observed):
+        return np.indices(observed.shape)[1] + ((observed != 0).sum() + 3) / 2
+
+    chooser = Chooser(weights, 3, estimate)
     for step in range(len(found)):
-        assert found.mode[step] == EXPLORE
-        seen = found.seen[step]
-        if asked_about is None or np.any(seen != asked_about):
-            answer = (from_left if turn == 0 else from_left[:, ::-1]) + (seen.sum() + 3) / 2
-            latest, asked_about, turn = [answer, *(latest or [answer])][:2], seen, 1 - turn
-        cost = np.mean(latest, axis=0)
-        np.testing.assert_allclose(found.cost_to_go[step], cost, atol=1e-4)
         pose = tuple(int(part[step]) for part in (found.pose.x, found.pose.y, found.pose.heading))
-        opening = oracle.opening_poses(found.candidates[step], seen, 1, 3)
-        poses = opening if opening.any() else found.candidates[step]
-        distance = oracle.distances_from(seen & TRAVERSABLE[_TERRAIN], pose)
-        nearest = np.where(poses, distance, 10**6).min(axis=0)
-        decided_near += (abs(columns - pose[0]) <= 3) & (abs(rows - pose[1]) <= 3)
-        lost_patience = 0.25 * np.maximum(decided_near - 6, 0)
-        gained = 0.25 * oracle.newly_seen(poses, seen, 3)
-        score = np.where(poses.any(axis=0), cost + 0.5 * nearest + lost_patience - gained, np.nan)
-        np.testing.assert_allclose(found.score[step], score, atol=1e-4)
-        chosen = found.subgoals[step].any(axis=0)
-        if step == 0 or np.any(seen != found.seen[step - 1]):  # else the choice stands
-            np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)
-    assert np.any(found.seen[1:] != found.seen[:-1], axis=(1, 2)).sum() > 5
-    assert decided_near.max() > 10
+        mode, plan = chooser.plan(found.terrain[step], pose)
+        assert (MODE_NAMES[found.mode[step]], found.action[step], found.length[step]) == (mode, plan[0], len(plan))
+        np.testing.assert_allclose(found.cost_to_go[step], chooser.cost(found.terrain[step]), atol=1e-4)
+        score = np.full(_TERRAIN.shape, np.nan)
+        for each in chooser.candidates:
+            if found.candidates[step][each.pose[::-1]]:  # it still reveals something
+                score[each.pose[1::-1]] = each.score
+        np.testing.assert_allclose(found.score[step], score, atol=1e-3)
+        assert np.argwhere(found.subgoals[step]).tolist() == [list(chooser.subgoal[::-1])]
+    assert 3 < chooser.choices < len(found)
 
 
 def test_estimates_stand_once_the_planner_no_longer_explores():

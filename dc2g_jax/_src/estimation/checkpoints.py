@@ -24,7 +24,7 @@ from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.files.reading import number, read_object, whole_number
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
-from dc2g_jax._src.runtime.errors import InputError, require_extra, short
+from dc2g_jax._src.runtime.errors import InputError, check_number, require_extra, short
 from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
 
 #: The shipped networks: for maps without errors, and for maps from a camera.
@@ -208,9 +208,18 @@ def read_network(folder: str | Path, kind: Kind | None = None) -> tuple[Kind, di
 
 def network_in_folder(folder: str | os.PathLike[str] | None = None) -> Any:
     """Load a planner's network of any kind, see `read_network`; `None` for the shipped network."""
-    kind, weights, architecture, _ = read_network(resource(SHIPPED_NETWORK) if folder is None else Path(folder))
+    place = resource(SHIPPED_NETWORK) if folder is None else Path(folder)
+    kind, weights, architecture, card = read_network(place)
     assert kind.estimator is not None
-    return kind.estimator(weights=weights, architecture=architecture)
+    network = kind.estimator(weights=weights, architecture=architecture)
+    if not isinstance(network, NetworkCostToGo) or "score" not in card:
+        return network
+    score = card["score"]
+    if not isinstance(score, dict):
+        raise InputError(f"{place / CARD}: its score is {short(score)}, which is no JSON object; train the score anew")
+    for term, weight in score.items():
+        check_number(f"{place / CARD}: weight of {term}", weight, hint="train the score anew")
+    return dataclasses.replace(network, score={term: jnp.float32(weight) for term, weight in score.items()})
 
 
 def newest_step(folder: str | Path) -> int:

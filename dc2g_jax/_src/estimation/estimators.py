@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol
 
 import jax
@@ -60,6 +60,8 @@ class Estimator(Protocol):
       extent: the part of the map that it is given.
       side: longer side of the maps that it was trained on, in cells; `None` if it knows maps of any size.
       is_compact: whether it is a network whose layers are those of `CompactUNet`.
+      score: weights of the terms of `planning.learned_score.LearnedScore` that were learned with it, by name; `None`
+        for those of the shipped network.
     """
 
     in_cells: ClassVar[bool] = True
@@ -67,6 +69,7 @@ class Estimator(Protocol):
     extent: Extent = WHOLE_MAP
     side: int | None = None
     is_compact: bool = False
+    score: Mapping[str, Float[Array, ""]] | None = None
 
     def init(self, world: World) -> Any:
         """The state for an episode in `world`. Only a privileged estimator may read the world.
@@ -183,11 +186,13 @@ class NetworkCostToGo(Estimator):
       weights: the network's weights.
       architecture: the network's architecture.
       summary: applied to the outcomes of a network of the user's own, see `summarized`; `None` for the outcomes.
+      score: see `Estimator`.
     """
 
     weights: Any
     architecture: Architecture = struct.field(pytree_node=False)
     summary: Callable[[Array], Array] | None = struct.field(pytree_node=False, default=None)
+    score: Mapping[str, Float[Array, ""]] | None = None
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
         """The network's estimate for partial maps, in cells, with one outcome per quantile.

@@ -49,9 +49,8 @@ class Frames:
         outcomes. Where it does not explore, the last one it went by. `None` if it makes none or never explores.
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbor (paper, section
         III-D).
-      score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
-        weighted distance, patience lost, less information to be gained, or the distance alone for one that has no
-        score. NaN on all other cells.
+      score: while exploring, the planner's score of the cells it chooses from, the lowest wins; the distance for a
+        planner that has no score. NaN on all other cells.
       path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
         there is no path.
       in_cells: is `cost_to_go` in cells? Otherwise in parts of the highest cost, 0 to 1.

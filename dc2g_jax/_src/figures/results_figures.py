@@ -124,40 +124,42 @@ def scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> 
     axes.minorticks_off()
 
 
-def _round_numbers(low: float, high: float, most: int) -> list[float]:
-    """Round numbers on a logarithmic axis that 1 is on: at most `most`, unless powers of ten are more."""
-    for digits in range(10, 100, 2), range(10, 100, 10), (10, 15, 20, 30, 50, 70), (10, 20, 50), (10, 30), (10,):
-        ticks = [digit * 10.0**power for power in range(-5, 5) for digit in digits]
-        ticks = [tick for tick in ticks if low <= tick <= high]
-        if len(ticks) <= most:
-            break
-    return ticks
+#: Panels of a row, and range of the axis, of the figure of the leaderboard.
+_PANELS_A_ROW, _RATIOS_SHOWN = 4, (0.25, 1.25)
 
 
 def plot_leaderboard(path: str | Path, families: Families) -> None:
     """Draw steps relative to the reference, with a panel for each family, the best planner at the top.
+
+    Means beyond the axis are triangles at its edge.
 
     Args:
       path: output path without ending; PNG, SVG and PDF are written.
       families: the episodes.
     """
     planners = in_order(families)[::-1]
-    figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.19 * len(planners)), layout="constrained")
-    all_axes = figure.subplots(1, len(families), squeeze=False, sharex=True, sharey=True)[0]
+    rows = -(-len(families) // _PANELS_A_ROW)
+    figure = Figure(figsize=(PAGE_WIDTH, rows * (0.5 + 0.17 * len(planners)) + 0.4), layout="constrained")
+    columns = min(len(families), _PANELS_A_ROW)
+    all_axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    low, high = _RATIOS_SHOWN
     own = planner_styles(name for name in planners if name not in PLANNERS)
-    for axes, (name, family) in zip(all_axes, families.items(), strict=True):
+    for axes in all_axes[len(families) :]:
+        axes.set_axis_off()
+    for axes, (name, family) in zip(all_axes, families.items(), strict=False):
         axes.axvline(1, color="#555555", linewidth=0.8)
         for row, planner in enumerate(planners):
             ratio = family.ratio(planner)
             color = "#888888" if planner in PRIVILEGED else "#0072b2" if planner == "dc2g" else "#d55e00"
             color = own[planner].color if planner in own else color
             axes.hlines(row, ratio.low, ratio.high, color=color, linewidth=1.6)
-            axes.plot(ratio.mean, row, "o", color=color, markersize=3.2)
+            shown = "<" if ratio.mean < low else ">" if ratio.mean > high else "o"
+            axes.plot(np.clip(ratio.mean, low, high), row, shown, color=color, markersize=3.2, clip_on=False)
         axes.set_title(name, fontsize=7.5)
         plain_axes(axes, grid="both", label_size=6.5)
     all_axes[0].set_xscale("log")
-    low, high = all_axes[0].get_xlim()
-    ticks = _round_numbers(low, high, most=max(4, 12 // len(families)))
+    all_axes[0].set_xlim(low, high)
+    ticks = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.2)
     all_axes[0].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     all_axes[0].minorticks_off()
     all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])

@@ -6,7 +6,6 @@ bound is in docs/notebook/bounded.md.
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -71,13 +70,11 @@ class Bound(NamedTuple):
       shadow: the virtual robot.
       taken: number of decisions so far, which are the robot's actions.
       led: whether the robot returns to the shadow or goes with it.
-      holds: whether the robot has been where the bound holds.
     """
 
     shadow: Shadow
     taken: Int[Array, "*batch"]
     led: Bool[Array, "*batch"]
-    holds: Bool[Array, "*batch"]
 
 
 class BoundedState(NamedTuple):
@@ -85,25 +82,20 @@ class BoundedState(NamedTuple):
 
     Attributes:
       planner: state of the wrapped planner.
-      bound: what keeps the bound; `None` on maps without one.
+      bound: what keeps the bound.
     """
 
     planner: Any
-    bound: Bound | None
+    bound: Bound
 
 
 #: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
 _RENEWED = 0.5
 
 
-def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
-    """A bound on every map."""
-    return jnp.ones(belief.pose.x.shape, bool)
-
-
 @struct.dataclass
 class Bounded(Planner):
-    """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
+    """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns)` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
     which frontier exploration reaches a goal, whatever the wrapped planner decides, if cells keep their class. On other
@@ -116,12 +108,6 @@ class Bounded(Planner):
       slack: additional actions as a multiple of the rows and columns of the map, at least 0. With factor 1 and slack 0,
         the actions are frontier's; with infinite slack, the wrapped planner's.
       virtual_steps: most actions of the shadow per decision, at least 1. The bound holds for any number.
-      actions: additional actions whatever the size of the map, at least 0.
-      renewed: actions that must be left before a robot that returned to the shadow may leave it again, for each of the
-        shadow's actions; beyond half of the slack.
-      where: whether a robot is bounded from now on, given its belief. Before, it follows the wrapped planner. A robot
-        that has taken more actions than the bound allows when it becomes bounded returns to the shadow.
-      free_side: longest side of the maps on which there is no bound, in cells.
     """
 
     planner: Planner
@@ -129,10 +115,6 @@ class Bounded(Planner):
     factor: float
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
-    actions: float = 0.0
-    renewed: float = 0.0
-    where: Callable[[Belief], Bool[Array, "*batch"]] = struct.field(pytree_node=False, default=everywhere)
-    free_side: int = struct.field(pytree_node=False, default=0)
     batch_per_core: ClassVar[int] = DC2G.batch_per_core
 
     @property
@@ -147,15 +129,11 @@ class Bounded(Planner):
     def init(self, world: World) -> BoundedState:
         """The wrapped planner's state. The shadow starts at the first decision, at the robot's pose."""
         sensing_of(self.planner, self.rules.sensing)
-        state = BoundedState(self.planner.init(world), bound=None)
-        if max(world.height, world.width) <= self.free_side:
-            return state
         nothing = jnp.zeros_like(world.traversable)
         zero = jnp.zeros(nothing.shape[2:], jnp.int32)
-        no = jnp.zeros_like(zero, bool)
         explores, before = jnp.full_like(zero, EXPLORE), jnp.full_like(zero, -1)
         shadow = Shadow(Pose(zero, zero, zero), nothing, nothing, action=zero, mode=explores, steps=before)
-        return state._replace(bound=Bound(shadow, taken=zero, led=no, holds=no))
+        return BoundedState(self.planner.init(world), Bound(shadow, taken=zero, led=jnp.zeros_like(zero, bool)))
 
     def look(self, belief: Belief, state: BoundedState) -> tuple[Bool[Array, "*batch"], Any]:
         """What the wrapped planner looks at."""
@@ -177,23 +155,17 @@ class Bounded(Planner):
             )
         else:
             assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
-        state = state._replace(planner=planner_state)
-        if state.bound is None:
-            return assessment, state
         plan, bound = self._bounded(belief, assessment.plan, state.bound)
-        return dataclasses.replace(assessment, plan=plan), state._replace(bound=bound)
+        return dataclasses.replace(assessment, plan=plan), BoundedState(planner_state, bound)
 
     def revised(self, state: BoundedState, changed: Board) -> BoundedState:
         """The state after these cells changed their class: without a bound if there are any.
 
         The robot then follows the wrapped planner alone, since the shadow has not seen the map as it is now.
         """
-        state = state._replace(planner=self.planner.revised(state.planner, changed))
-        if state.bound is None:
-            return state
         shadow = state.bound.shadow
-        mode = jnp.where(bitboard.is_empty(changed), shadow.mode, GAVE_UP)
-        return state._replace(bound=state.bound._replace(shadow=shadow._replace(mode=mode)))
+        shadow = shadow._replace(mode=jnp.where(bitboard.is_empty(changed), shadow.mode, GAVE_UP))
+        return BoundedState(self.planner.revised(state.planner, changed), state.bound._replace(shadow=shadow))
 
     def _caught_up(self, belief: Belief, shadow: Shadow) -> Shadow:
         """The shadow after its next actions, as far as the robot has seen what it would see."""
@@ -226,22 +198,22 @@ class Bounded(Planner):
 
     def _bounded(self, belief: Belief, wrapped: Plan, bound: Bound) -> tuple[Plan, Bound]:
         """The plan that keeps the bound."""
-        shadow, holds = self._caught_up(belief, bound.shadow), bound.holds | self.where(belief)
+        shadow = self._caught_up(belief, bound.shadow)
         there = _same(belief.pose, shadow.pose)
         target = _chosen(there, _next_pose(belief, shadow.pose, shadow.action), shadow.pose)
         to_goal = wrapped.mode == TO_GOAL
         # Goals count whatever the wrapped planner says of them, or it could break the bound by changing its mind.
         subgoals = poses.only(target, *belief.goals.shape[:2]) | every_heading(belief.goals)
         back = plan_to(belief, subgoals, belief.traversable, jnp.where(to_goal, TO_GOAL, EXPLORE))
-        slack = self.slack * (belief.height + belief.width) + self.actions
+        slack = self.slack * (belief.height + belief.width)
         left = self.factor * shadow.steps + slack - bound.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
-        led = ~affordable | (bound.led & (left < _RENEWED * slack + self.renewed * shadow.steps))
+        led = ~affordable | (bound.led & (left < _RENEWED * slack))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
-        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~holds
-        return _chosen(free | without_bound, wrapped, back), Bound(shadow, bound.taken + 1, led, holds)
+        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP)
+        return _chosen(free | without_bound, wrapped, back), Bound(shadow, bound.taken + 1, led)
 
 
 def _same(a: Pose, b: Pose) -> Bool[Array, "*batch"]:

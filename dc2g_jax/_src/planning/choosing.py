@@ -5,16 +5,24 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from dc2g_jax._src.estimation.estimators import Estimator, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, every_heading
+from dc2g_jax._src.grid.squares import corner_sums, in_rectangle
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
-from dc2g_jax._src.planning.planners import Assessment, Planner, explore_or_finish, observed_terrain, reachable_cells
+from dc2g_jax._src.planning.planners import (
+    Assessment,
+    Planner,
+    choice_is_due,
+    explore_or_finish,
+    observed_terrain,
+    reachable_cells,
+)
 from dc2g_jax._src.planning.rules import Rules
 
 #: Scores of poses, or values of them.
@@ -67,31 +75,12 @@ def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
     return jnp.where(poses.is_empty(preferred), revealing, preferred)
 
 
-def at_cells(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point *batch"]) -> Array:
-    """Values `[... h w *batch]` at cells: `[... point *batch]`."""
-    lead = values.ndim - x.ndim - 1
-    width = values.shape[lead + 1]
-    flat = values.reshape(*values.shape[:lead], -1, *values.shape[lead + 2 :])
-    return jnp.take_along_axis(flat, (y * width + x).reshape(*(1,) * lead, *x.shape), axis=lead)
-
-
-def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w *batch"]:
-    """Number of cells of the set in the square of `2 radius + 1` cells around each cell."""
-    counts = cells.astype(jnp.int32)
-    for axis in (0, 1):
-        margins = [(0, 0)] * counts.ndim
-        margins[axis] = (radius + 1, radius)
-        sums = jnp.cumsum(jnp.pad(counts, margins), axis=axis)
-        size, step = counts.shape[axis], 2 * radius + 1
-        low, high = (jnp.take(sums, jnp.arange(size) + first, axis=axis) for first in (0, step))
-        counts = high - low
-    return counts
-
-
 def unknown_share(belief: Belief, radius: int) -> Float[Array, "h w *batch"]:
     """Share of unobserved cells in the square of `2 radius + 1` cells around each cell; none lie off the map."""
     unknown = bitboard.unpack(frontiers.unseen(belief), belief.width)
-    return in_square(unknown, radius).astype(jnp.float32) / (2 * radius + 1) ** 2
+    y, x = jnp.indices(unknown.shape, jnp.int32)[:2].reshape(2, -1, *unknown.shape[2:])
+    around = in_rectangle(corner_sums(unknown), x - radius, y - radius, x + radius + 1, y + radius + 1)
+    return around.reshape(unknown.shape).astype(jnp.float32) / (2 * radius + 1) ** 2
 
 
 def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, "outcomes h w *batch"]:
@@ -150,11 +139,10 @@ class ChoosingPlanner(Planner):
         """Head for the chosen pose, or for the goal. The scores are the current ones."""
         reachable = reachable_cells(belief, state.reachable)
         candidates = exploring_poses(belief, reachable, self.rules)
-        news = bitboard.count(belief.seen ^ state.chosen_from)
-        enough = max(1.0, self.replan_fraction * len(self.rules.sensing.offsets[0]))
-        outdated = (news >= enough) | poses.is_empty(state.subgoals & candidates)
-        undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
-        state = update_where(self._choose, outdated & undecided, (belief, reachable, candidates), state)
+        due = choice_is_due(
+            belief, reachable, candidates, state.subgoals, state.chosen_from, self.rules, self.replan_fraction
+        )
+        state = update_where(self._choose, due, (belief, reachable, candidates), state)
         plan = explore_or_finish(belief, reachable, state.subgoals & candidates, self.rules)
         situation = self._situation(belief, reachable, candidates, state)
         score = jnp.where(poses.unpack(candidates, belief.width), self.score(belief, situation), jnp.inf)

@@ -37,15 +37,13 @@ class Candidate(NamedTuple):
     Attributes:
       x: column.
       y: row.
-      heading: the nearest heading in which the cell reveals something new; of equal ones, for planners that use
-        information gain, the one that faces the most unobserved cells.
+      heading: heading of the candidate pose there; of several, the nearest.
       cost_to_go: predicted cost from there to the door, in cells if the estimator's costs are: the mean, or the summary
         of the planner's selection rule; `None` for planners without predictions.
       distance: actions from the robot to this pose.
-      score: the planner's score; the lowest wins. For `dc2g`, the cost-to-go plus weighted distance, minus weighted
-        information gain; for frontier exploration, the distance.
-      penalty: part of the score beyond cost-to-go and distance: the patience penalty minus the weighted information
-        gain.
+      score: the planner's score; the lowest wins. For `dc2g`, the cost-to-go plus what the way to the candidate counts
+        for, plus `penalty`; for frontier exploration, the distance.
+      penalty: part of the score beyond cost-to-go and the way to the candidate: what it reveals.
     """
 
     x: int
@@ -102,7 +100,7 @@ class View(NamedTuple):
       cost_to_go: predicted cost-to-go of every cell, `None` without predictions. Like `score`, it is only valid while
         exploring.
       score: score of every cell with a candidate.
-      penalty: part of the score beyond cost-to-go and distance; `None` for planners without one.
+      penalty: part of the score beyond cost-to-go and the way to the candidate; `None` for planners without one.
     """
 
     distance: Int[np.ndarray, "heading h w"]
@@ -199,7 +197,7 @@ def _sum(best: Candidate, away: str) -> str:
     if best.cost_to_go is None:
         return f": {away} away"
     for_distance = best.score - best.cost_to_go - best.penalty
-    others = (for_distance, away), (best.penalty, "what it reveals" if best.penalty < 0 else "decisions near it")
+    others = (for_distance, away), (best.penalty, "what it reveals")
     shown = [f"{best.cost_to_go:.1f} predicted cost-to-go"]
     shown += [f"{'-' if value < 0 else '+'} {abs(value):.1f} for {what}" for value, what in others if abs(value) > 0.05]
     return f" = {' '.join(shown)}" + ("" if abs(for_distance) > 0.05 else f", {away} away")

@@ -65,24 +65,6 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
     return _reachable_but_here(expanding.poses_that_see(frontier, belief.opaque), belief, reachable)
 
 
-def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int) -> PoseSet:
-    """The poses that see an unobserved cell more than `rim_width` moves beyond everything observed.
-
-    The others fill a corner or complete a wall: if all unobserved cells in view are along the rim of the known map,
-    little can be revealed.
-
-    Args:
-      belief: belief of the robot.
-      candidates: poses to choose from.
-      sensing: the robot's field of view.
-      rim_width: width of the rim, in cells; 0 for no rim.
-    """
-    rim = belief.seen
-    for _ in range(rim_width):
-        rim = rim | bitboard.neighbors(rim)
-    return candidates & sensing.poses_that_see(_beyond(belief, rim), belief.opaque)
-
-
 def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UInt[Array, "h w *batch"]:
     """Number of newly seen cells at the best candidate pose of each cell; 0 for cells without candidates.
 
@@ -96,20 +78,3 @@ def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UI
     new = sensing.count_seen(unseen(belief), belief.opaque, belief.width)
     # Not `jnp.max`, which is no part of an operation for 8-bit integers, see `programs.is_one_operation`.
     return functools.reduce(jnp.maximum, jnp.where(poses.unpack(candidates, belief.width), new, 0))
-
-
-def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
-    """The poses of each cell that face the most unobserved cells, at any distance: in all rows or columns ahead.
-
-    Args:
-      belief: belief of the robot.
-      pose_set: poses to choose from. Each cell with a pose keeps at least one.
-    """
-    new = bitboard.unpack(unseen(belief), belief.width)
-    of_columns, of_rows = (jnp.sum(new, axis=axis, dtype=jnp.int32, keepdims=True) for axis in (0, 1))
-    up_to_column, up_to_row = jnp.cumsum(of_columns, axis=1), jnp.cumsum(of_rows, axis=0)
-    right, below = up_to_column[:, -1:] - up_to_column, up_to_row[-1:] - up_to_row
-    left, above = up_to_column - of_columns, up_to_row - of_rows
-    ahead = jnp.stack([jnp.broadcast_to(cells, new.shape) for cells in (right, below, left, above)])
-    ahead = jnp.where(poses.unpack(pose_set, belief.width), ahead, -1)
-    return pose_set & poses.pack(ahead == functools.reduce(jnp.maximum, ahead))

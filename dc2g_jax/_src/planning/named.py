@@ -1,4 +1,4 @@
-"""Planners by name. The parameters of those with a network were chosen on validation houses."""
+"""Planners by name."""
 
 import dataclasses
 import functools
@@ -7,64 +7,39 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from dc2g_jax._src.estimation.compact_unet import Architecture
+from jaxtyping import Array
+
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells, trait
-from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.planning.bounded import Bounded
-from dc2g_jax._src.planning.frontiers import facing_most
+from dc2g_jax._src.planning.learned_score import LearnedScore, weights_of
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner, PlannerLike
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
-from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
+from dc2g_jax._src.planning.selection import QuantileCost, mean_outcome
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.own_parts import own_part
 from dc2g_jax._src.runtime.plugins import plugins
 
-#: Patience of planners with a network in the gridworld, where every decision is a step.
-STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
+
+@functools.cache
+def _shipped_score() -> Mapping[str, Any]:
+    """The weights of the score that were learned with the shipped network."""
+    return open_estimator(None).score  # type: ignore[return-value]
 
 
-def _unbounded(selection: Selection, estimator: Estimator, rules: Rules, patience: Patience) -> DC2G:
-    """DC2G with the parameters chosen on validation houses and towns (see docs/notebook).
+def _on_network(summary: Callable[[Array], Array], estimator: Estimator, rules: Rules) -> LearnedScore | DC2G:
+    """`LearnedScore` with the network's weights, or the shipped ones. It heads for the nearest goal under all rules.
 
-    It alternates between the map and its mirror image as the network's input. It heads for the nearest reachable goal
-    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none.
+    A cost-to-go without a scale cannot be part of such a score; the paper's rule needs none.
     """
     if not answers_in_cells(estimator):
         return DC2G(estimator, rules)
-    return DC2G(
-        estimator,
-        dataclasses.replace(rules, goal_poses=nearest_goal),
-        selection=selection,
-        rim_width=1,
-        views=((), (1,)),
-        gain_weight=3.0,
-        headings=facing_most,
-        patience=patience,
-        replan_fraction=1 / 3,
-        town_side=trait(estimator, "side"),
-    )
+    rules = dataclasses.replace(rules, goal_poses=nearest_goal)
+    return LearnedScore(rules, weights_of(trait(estimator, "score") or _shipped_score()), estimator, summary)
 
 
-def _on_network(
-    selection: Selection, estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE
-) -> DC2G | Bounded:
-    """The same, bounded in towns, which are unlike the maps of the training (see docs/notebook/towns.md).
-
-    Once a robot has taken its map for a town, it takes at most 2.5 times the actions of frontier exploration and 50
-    more. There is no bound where a decision is not an action, and none without a scale.
-    """
-    planner = _unbounded(selection, estimator, rules, patience)
-    if not patience.price or not answers_in_cells(estimator):
-        return planner
-    side = trait(estimator, "side") or Architecture.side
-    return Bounded(
-        planner, planner.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.3, where=in_town, free_side=side
-    )
-
-
-def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Bounded:
+def _bounded(estimator: Estimator, rules: Rules) -> Bounded:
     """`dc2g` with a bound on its actions (see docs/notebook/bounded.md)."""
-    planner = _unbounded(ExpectedCost(distance_weight=0.5), estimator, rules, patience)
+    planner = _on_network(mean_outcome, estimator, rules)
     return Bounded(planner, planner.rules, factor=2.0, slack=3.0)
 
 
@@ -72,9 +47,8 @@ def _bounded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
 RIVALS, NETWORK_RIVALS = plugins("planners"), plugins("network_planners")
 
 
-def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> Any:
-    """A planner of a plug-in with a network, whose costs are in cells. It has no patience."""
-    del patience
+def _rival_on_network(name: str, estimator: Estimator, rules: Rules) -> Any:
+    """A planner of a plug-in with a network, whose costs are in cells."""
     if not answers_in_cells(estimator):
         raise InputError(f"the planner {name!r} needs costs in cells; give another network")
     return NETWORK_RIVALS[name].load()(rules, estimator=estimator)
@@ -87,12 +61,12 @@ _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], Planner]] = {
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
 }
 
-#: Planners with a network, called with the network, the rules and, optionally, their patience.
-NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
-    # Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance. Its patience never ends.
-    "dc2g_paper": lambda estimator, rules, patience=ENDLESS: DC2G(estimator, rules),
-    "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
-    "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
+#: Planners with a network, called with the network and the rules.
+NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], Any]] = {
+    # Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance.
+    "dc2g_paper": DC2G,
+    "dc2g": functools.partial(_on_network, mean_outcome),
+    "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.0).summary),
     "dc2g_bounded": _bounded,
     **{name: functools.partial(_rival_on_network, name) for name in NETWORK_RIVALS},
 }
@@ -132,16 +106,13 @@ def make_planner(
     return planner_with(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
 
 
-def planner_with(
-    name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
-) -> PlannerLike:
+def planner_with(name: str, rules: Rules, estimator: Estimator | None = None) -> PlannerLike:
     """Make a planner by name from rules and an estimator.
 
     Args:
       name: one of `PLANNERS`, or `package.module:Name` for a class of your own, which is called with the rules.
       rules: field of view and definition of frontiers.
       estimator: network of a planner in `NETWORK_PLANNERS`.
-      patience: patience of a planner in `NETWORK_PLANNERS`.
 
     Raises:
       InputError: the name is unknown, the class takes no rules, or the estimator is missing.
@@ -151,7 +122,7 @@ def planner_with(
     if name in RIVALS:
         return RIVALS[name].load()(rules)
     if name in NETWORK_PLANNERS and estimator is not None:
-        return NETWORK_PLANNERS[name](estimator, rules, patience)
+        return NETWORK_PLANNERS[name](estimator, rules)
     if name in NETWORK_PLANNERS:
         raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
     own = own_part("planner", name, PLANNERS)

@@ -76,9 +76,9 @@ class OnlinePlanner:
     ```
 
     Each call plans from scratch and the planner keeps no memory, so cells of the map may change in any way. (Therefore
-    the network evaluates both the map and its mirror image at every call, and there is no penalty for staying in a
-    place.) Exploration ends if the robot observes everything in its field of view at every pose that it reaches. Mark
-    cells that its sensor cannot classify as `nothing`.
+    the network evaluates both the map and its mirror image at every call, and no earlier choice counts.) Exploration
+    ends if the robot observes everything in its field of view at every pose that it reaches. Mark cells that its sensor
+    cannot classify as `nothing`.
 
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
     longer sensing ranges. The programs are kept on disk (see

@@ -16,21 +16,19 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, extent_of, update_where
-from dc2g_jax._src.estimation.extents import TownWindow
-from dc2g_jax._src.estimation.padding import mirrored, padded
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, extent_of, update_where
+from dc2g_jax._src.estimation.padding import padded
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, check_axes, check_poses
 from dc2g_jax._src.grid.poses import PoseSet, every_heading
 from dc2g_jax._src.grid.sensing import Kernel
-from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.grid.terrain import OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.nearby import Decided, nearby
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, Selection, mean_of
+from dc2g_jax._src.planning.selection import ExpectedCost, Selection, mean_of
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import apart
 
@@ -69,7 +67,7 @@ class Assessment:
         while the planner does not explore.
       cost_to_go: the planner's cost-to-go of every cell; the last one while it does not explore. `None` for planners
         without one.
-      penalty: part of the score beyond cost-to-go and distance; `None` for planners without one.
+      penalty: part of the score beyond cost-to-go and the way to the candidate; `None` for planners without one.
     """
 
     plan: Plan
@@ -326,30 +324,56 @@ class Frontier(Planner):
         return jnp.zeros_like(state)
 
 
-def any_heading(belief: Belief, nearest: PoseSet) -> PoseSet:
-    """All of each cell's nearest candidates."""
-    del belief
-    return nearest
+def choice_is_due(
+    belief: Belief,
+    reachable: Board,
+    revealing: PoseSet,
+    subgoals: PoseSet,
+    chosen_from: Board,
+    rules: Rules,
+    replan_fraction: float,
+) -> Bool[Array, "*batch"]:
+    """Whether a robot that explores needs another subgoal: its own reveal nothing more, or it has seen enough since.
+
+    Args:
+      belief: belief of the robot.
+      reachable: reachable cells.
+      revealing: poses that reveal something when reached.
+      subgoals: the poses chosen last.
+      chosen_from: cells that had been observed then.
+      rules: field of view.
+      replan_fraction: share of the cells in the field of view that must be newly seen; at least one cell must.
+    """
+    undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
+    news = bitboard.count(belief.seen ^ chosen_from)
+    enough = max(1.0, replan_fraction * len(rules.sensing.offsets[0]))
+    return undecided & ((news >= enough) | poses.is_empty(subgoals & revealing))
 
 
-#: Axes to mirror the map along, one tuple per view.
-Views = tuple[tuple[int, ...], ...]
+def summarized(
+    estimator: Estimator, summary: Callable[[Array], Array], terrain: UInt8[Array, "h w *batch"], state: Any
+) -> Estimates:
+    """The summary of an estimate, such as its mean.
 
+    Args:
+      estimator: the estimator.
+      summary: summary of its outcomes, see `planning.selection`.
+      terrain: observed class indices.
+      state: state of the estimator.
 
-def in_view(cells: Array, views: Views, view: Int[Array, "*batch"], first: int) -> Array:
-    """Grids whose rows are on the axis `first`, as they are in view number `view`; mirroring is its own inverse."""
-    seen_as = cells
-    for number, axes in enumerate(views):
-        turned = jnp.flip(cells, [first + axis for axis in axes])
-        seen_as = jnp.where(view == number, turned, seen_as) if axes else seen_as
-    return seen_as
-
-
-def at_once(ask: Callable[[Array], Estimates], terrain: UInt8[Array, "h w *batch"], views: Views) -> Estimates:
-    """The mean of the estimates for all views of the map. The grid may be larger than the map."""
-    inside = terrain != OUTSIDE
-    answers = [mirrored(ask(mirrored(terrain, axes, inside, 0)), axes, inside, 1) for axes in views]
-    return jnp.mean(jnp.stack(answers).astype(jnp.float32), axis=0)
+    Raises:
+      InputError: the estimate does not have the shape `[outcomes, *shape of the map]`.
+    """
+    asked = estimator
+    if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
+        asked, summary = estimator.summarized(summary), lambda costs: costs
+    costs = asked.estimate(terrain, state)
+    if costs.shape[1:] != terrain.shape:
+        raise InputError(
+            f"{type(estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
+            "give [outcomes, *shape of the map], with one outcome at least"
+        )
+    return summary(costs).astype(jnp.float32)
 
 
 @struct.dataclass
@@ -360,242 +384,99 @@ class DC2G(Planner):
     poses that do. So exploration always ends, under all rules. (The `complete` rules have no other poses; with the
     `reference` rules alone, a robot can move back and forth forever between two poses that reveal nothing.)
 
-    The defaults of selection, rim, gain and patience are the paper's.
+    The estimator is asked whenever something new has been seen.
 
     Attributes:
       estimator: maps a partial map to costs-to-go; lower is better.
       rules: field of view and definition of frontiers.
-      selection: rule that scores subgoals.
-      rim_width: candidates that see a cell more than this many cells beyond everything observed take precedence.
-      views: axes to mirror the map along for the estimator, one tuple per view: test-time augmentation spread over
-        steps. New estimates alternate between the views, and the planner uses the mean of each view's latest estimate.
-        This halves errors that a network makes in only one view, at no extra cost. Views other than the original map
-        are for estimators that only read the map.
-      gain_weight: weight of the information gain: a cell's score is lower by this much if its whole field of view would
-        be new. The gain does not change while nothing new is seen, so exploration still ends.
-      headings: selects among the nearest headings of a cell, if the score depends on distance: all of them, or
-        `planning.frontiers.facing_most`.
-      patience: penalty for staying near promising cells that reveal no goal.
-      replan_fraction: share of the cells in the field of view that must be newly seen before the planner decides anew;
-        it also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
-      town_side: side of the square around the robot that the estimator is given in a town, in cells, see
-        `estimation.extents.TownWindow`; `None` for the estimator's own extent everywhere.
-      memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
+      selection: rule that scores subgoals; by default the paper's.
     """
 
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
-    rim_width: int = struct.field(pytree_node=False, default=0)
-    views: Views = struct.field(pytree_node=False, default=((),))
-    gain_weight: float = struct.field(pytree_node=False, default=0.0)
-    headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
-    patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
-    replan_fraction: float = struct.field(pytree_node=False, default=0.0)
-    town_side: int | None = struct.field(pytree_node=False, default=None)
-    memory: bool = struct.field(pytree_node=False, default=True)
     batch_per_core: ClassVar[int] = 16
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
-        return dataclasses.replace(
-            self, estimator=padded(self.estimator), patience=ENDLESS, town_side=None, memory=False
-        )
+        return dataclasses.replace(self, estimator=padded(self.estimator))
 
-    def init(self, world: World) -> "ExplorationState":
+    def init(self, world: World) -> "Choice":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
-        nothing = jnp.zeros_like(world.traversable)
-        estimator_state = self.estimator.init(world)
-        told = jax.eval_shape(self._told, world.terrain, estimator_state)
-        prior = self._extent(world).prior
-        choice = Choice(
-            estimates=tuple(jnp.full(told.shape, prior, jnp.float32) for _ in self.views),
-            estimated_from=nothing,
-            view=jnp.zeros(nothing.shape[2:], jnp.int32),
-            subgoals=every_heading(nothing),
+        nothing, state = jnp.zeros_like(world.traversable), self.estimator.init(world)
+        told = jax.eval_shape(
+            functools.partial(summarized, self.estimator, self.selection.summary), world.terrain, state
         )
-        return ExplorationState(nothing, choice, jnp.zeros(told.shape[1:], jnp.int32), estimator_state)
-
-    def _extent(self, world: World) -> Extent:
-        """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
-        side = self.town_side
-        if side is None or max(world.height, world.width) <= side:
-            return extent_of(self.estimator)
-        zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
-        return TownWindow(zooms, side)
-
-    def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
-        """The selection rule's summary of the estimate.
-
-        Args:
-          terrain: observed class indices.
-          state: state of the estimator.
-
-        Raises:
-          InputError: the estimate does not have the shape `[outcomes, *shape of the map]`.
-        """
-        estimator, summary = self.estimator, self.selection.summary
-        if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
-            estimator, summary = estimator.summarized(summary), lambda costs: costs
-        costs = estimator.estimate(terrain, state)
-        if costs.shape[1:] != terrain.shape:
-            raise InputError(
-                f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
-                "give [outcomes, *shape of the map], with one outcome at least"
-            )
-        return summary(costs).astype(jnp.float32)
-
-    def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
-        """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8), of those that reveal something."""
-        preferred = self.rules.frontier_expanding(belief, reachable) & revealing
-        candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
-        if self.rim_width:
-            opening = frontiers.opening(belief, candidates, self.rules.sensing, self.rim_width)
-            candidates = jnp.where(poses.is_empty(opening), candidates, opening)
-        return candidates
-
-    def _penalty(
-        self, belief: Belief, candidates: PoseSet, decided_near: Int[Array, "h w *batch"]
-    ) -> Float[Array, "h w *batch"]:
-        """The term added to the score of each cell: the penalty of `patience` minus the weighted information gain."""
-        penalty = jnp.zeros(decided_near.shape, jnp.float32)
-        if self.patience.price:
-            penalty += self.patience.cost(decided_near)
-        if self.gain_weight:
-            sensing = self.rules.sensing
-            of_one_cell = self.gain_weight / len(sensing.offsets[0])
-            penalty -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
-        return penalty
+        prior = extent_of(self.estimator).prior
+        return Choice(nothing, jnp.full(told.shape, prior, jnp.float32), nothing, every_heading(nothing), state)
 
     def _scored(
-        self, belief: Belief, look: "Look", estimate: Estimates
-    ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
-        """The candidates, the score of each cell with one, and the penalty in it (Algorithm 2, lines 6 to 10)."""
-        candidates = nearest = self._candidates(belief, look.reachable, look.revealing)
-        lengths = jnp.int32(0)
+        self, belief: Belief, reachable: Board, revealing: PoseSet, estimate: Estimates
+    ) -> tuple[PoseSet, Float[Array, "h w *batch"]]:
+        """The candidates, and the score of each cell with one (Algorithm 2, lines 6 to 10)."""
+        preferred = self.rules.frontier_expanding(belief, reachable) & revealing
+        candidates, lengths = jnp.where(poses.is_empty(preferred), revealing, preferred), jnp.int32(0)
         if self.selection.distance_weight:
-            nearest, lengths = search.nearest_headings(belief.pose, candidates, look.reachable, belief.width)
-            nearest = self.headings(belief, nearest)
-        cost = self.selection(estimate, lengths)
-        penalty = self._penalty(belief, candidates, look.decided_near)
-        return nearest, cost + penalty, penalty
+            candidates, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
+        return candidates, self.selection(estimate, lengths)
 
-    def look(self, belief: Belief, state: "ExplorationState") -> "tuple[Bool[Array, '*batch'], Look]":
-        """Whether another choice of the subgoal is due, and what it depends on."""
+    def look(self, belief: Belief, state: "Choice") -> tuple[Bool[Array, "*batch"], Any]:
+        """Whether another choice of the subgoal is due; reachable cells, and poses that reveal something."""
         reachable = reachable_cells(belief, state.reachable)
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
-        undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
-        decided_near = state.decided_near
-        if self.patience.price:
-            decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
-        news = bitboard.count(belief.seen ^ state.choice.estimated_from)
-        enough = max(1, round(self.replan_fraction * len(self.rules.sensing.offsets[0])))
-        # Robots that do not explore need no subgoal.
-        outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
-        return outdated, Look(reachable, revealing, decided_near)
+        due = choice_is_due(belief, reachable, revealing, state.subgoals, state.chosen_from, self.rules, 0.0)
+        return due, (due, reachable, revealing)
 
-    def ask(self, belief: Belief, state: "ExplorationState") -> Estimates:
-        """The selection rule's summary of an estimate, for the next view; without a memory, for all views."""
-        part = self._extent(belief).part(observed_terrain(belief), belief.pose)
-        told = functools.partial(self._told, state=state.estimator)
-        if not self.memory:
-            return at_once(told, part, self.views)
-        view = state.choice.view
-        return in_view(told(in_view(part, self.views, view, 0)), self.views, view, 1)
+    def ask(self, belief: Belief, state: "Choice") -> Estimates:
+        """The selection rule's summary of an estimate."""
+        part = extent_of(self.estimator).part(observed_terrain(belief), belief.pose)
+        return summarized(self.estimator, self.selection.summary, part, state.estimator)
 
-    def _choose(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", ask: Ask) -> "Choice":
+    def _choose(self, inputs: tuple[Belief, Board, PoseSet], before: "Choice", ask: Ask) -> "Choice":
         """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
-        belief, _, look = inputs
-        choice = self._estimated(inputs, before, ask)
-        candidates, score, _ = self._scored(belief, look, choice.estimate)
-        return choice._replace(subgoals=_lowest(score, candidates, belief.width))
-
-    def _estimated(self, inputs: "tuple[Belief, ExplorationState, Look]", before: "Choice", ask: Ask) -> "Choice":
-        """A new estimate, with the subgoals of before."""
-        belief, state, _ = inputs
-        latest = self._extent(belief).merged(ask(belief, state), belief.pose, before.estimates[0])
-        first = bitboard.is_empty(before.estimated_from)
-        # The first estimate stands for all views.
-        estimates = (latest, *(jnp.where(first, latest, older) for older in before.estimates[:-1]))
+        belief, reachable, revealing = inputs
+        estimate = extent_of(self.estimator).merged(ask(belief, before), belief.pose, before.estimate)
+        candidates, score = self._scored(belief, reachable, revealing, estimate)
         return before._replace(
-            estimates=estimates, estimated_from=belief.seen, view=(before.view + 1) % len(self.views)
+            estimate=estimate, chosen_from=belief.seen, subgoals=_lowest(score, candidates, belief.width)
         )
 
-    def conclude(
-        self, belief: Belief, state: "ExplorationState", looked: "tuple[Bool[Array, '*batch'], Look]", ask: Ask
-    ) -> "tuple[Assessment, ExplorationState]":
+    def conclude(self, belief: Belief, state: "Choice", looked: Any, ask: Ask) -> "tuple[Assessment, Choice]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
 
         The scores are the current ones; the subgoal had the lowest when it was chosen.
         """
-        make = functools.partial(self._choose if self.memory else self._estimated, ask=ask)
-        outdated, look = looked
-        choice = update_where(make, outdated, (belief, state, look), state.choice)
-        candidates, score, penalty = self._scored(belief, look, choice.estimate)
-        if not self.memory:  # the choice is always new, so it is made from these scores
-            choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
-        plan = explore_or_finish(belief, look.reachable, choice.subgoals & look.revealing, self.rules)
-        cost_to_go = mean_of(choice.estimate)
-        state = ExplorationState(look.reachable, choice, look.decided_near, state.estimator)
-        return Assessment(plan, look.reachable, candidates, score, cost_to_go, penalty), state
+        _, (due, reachable, revealing) = looked
+        state = update_where(functools.partial(self._choose, ask=ask), due, (belief, reachable, revealing), state)
+        candidates, score = self._scored(belief, reachable, revealing, state.estimate)
+        plan = explore_or_finish(belief, reachable, state.subgoals & revealing, self.rules)
+        state = state._replace(reachable=reachable)
+        return Assessment(plan, reachable, candidates, score, mean_of(state.estimate)), state
 
-    def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
+    def revised(self, state: "Choice", changed: Board) -> "Choice":
         """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
-        choice = state.choice._replace(
-            estimated_from=state.choice.estimated_from & ~changed,
-            subgoals=jnp.where(bitboard.is_empty(changed), state.choice.subgoals, jnp.uint32(0)),
+        return state._replace(
+            reachable=jnp.zeros_like(state.reachable),
+            chosen_from=state.chosen_from & ~changed,
+            subgoals=jnp.where(bitboard.is_empty(changed), state.subgoals, jnp.uint32(0)),
         )
-        return state._replace(reachable=jnp.zeros_like(state.reachable), choice=choice)
-
-
-class Look(NamedTuple):
-    """What a decision of DC2G depends on besides the estimate.
-
-    Attributes:
-      reachable: reachable cells.
-      revealing: poses that reveal something when reached.
-      decided_near: number of decisions near each cell, if `patience` has a price.
-    """
-
-    reachable: Board
-    revealing: PoseSet
-    decided_near: Int[Array, "h w *batch"]
 
 
 class Choice(NamedTuple):
-    """The last choice of a subgoal.
-
-    Attributes:
-      estimates: the selection rule's summaries of the latest estimate of each view, the newest first.
-      estimated_from: observed cells at the time of the newest estimate.
-      view: number of the next view.
-      subgoals: poses of lowest score; the plan goes to the nearest.
-    """
-
-    estimates: tuple[Estimates, ...]
-    estimated_from: Board
-    view: Int[Array, "*batch"]
-    subgoals: PoseSet
-
-    @property
-    def estimate(self) -> Estimates:
-        """The mean of the views' estimates."""
-        return mean_of(self.estimates)
-
-
-class ExplorationState(NamedTuple):
     """State of DC2G between steps.
 
     Attributes:
       reachable: reachable cells at the last step.
-      choice: the last choice of a subgoal.
-      decided_near: number of decisions near each cell, if `patience` has a price.
+      estimate: the selection rule's summary of the latest estimate.
+      chosen_from: cells that had been observed when the subgoals were chosen.
+      subgoals: poses of lowest score then; the plan goes to the nearest.
       estimator: state of the estimator.
     """
 
     reachable: Board
-    choice: Choice
-    decided_near: Int[Array, "h w *batch"]
+    estimate: Estimates
+    chosen_from: Board
+    subgoals: PoseSet
     estimator: Any
 
 

@@ -4,10 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
-
-from dc2g_jax._src.grid.poses import Pose
+from jaxtyping import Array, Float, Int
 
 _Summary = TypeVar("_Summary", bound=Callable[..., Any])
 
@@ -59,42 +56,10 @@ def linear(summary: _Summary) -> _Summary:
     return summary
 
 
-@dataclasses.dataclass(frozen=True)
-class Patience:
-    """A penalty for staying near cells that look promising but reveal no goal.
-
-    A network may mistake the back of a house for its front, whatever the robot observes there, and lead it into every
-    corner. So each decision near a cell, beyond the first ones, adds to the cell's score, until another place is
-    better. A robot that makes progress does not stay anywhere for so long.
-
-    If the penalty is below the selection rule's distance weight, exploration still ends: each action toward a subgoal
-    lowers its score by more than the penalty, so the lowest score falls until something is revealed.
-
-    Attributes:
-      radius: distance along either axis within which cells are near, in cells.
-      decisions: number of decisions without penalty.
-      price: penalty of each further decision, in units of the score.
-    """
-
-    radius: int
-    decisions: int
-    price: float
-
-    def near(self, pose: Pose, height: int, width: int) -> Bool[Array, "h w *batch"]:
-        """Cells near the robot."""
-        rows, columns = (
-            jnp.arange(size).reshape(*shape, *(1 for _ in pose.x.shape))
-            for size, shape in ((height, (-1, 1)), (width, (1, -1)))
-        )
-        return (jnp.abs(rows - pose.y) <= self.radius) & (jnp.abs(columns - pose.x) <= self.radius)
-
-    def cost(self, decided_near: Int[Array, "h w *batch"]) -> Float[Array, "h w *batch"]:
-        """The penalty of cells, given the number of decisions made near each."""
-        return self.price * jnp.maximum(decided_near - self.decisions, 0)
-
-
-#: No penalty.
-ENDLESS = Patience(radius=0, decisions=0, price=0.0)
+@linear
+def mean_outcome(costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "1 h w *batch"]:
+    """The mean, as a summary."""
+    return mean_of(costs)[None]
 
 
 @dataclasses.dataclass(frozen=True)

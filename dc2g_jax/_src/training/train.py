@@ -8,13 +8,21 @@ from typing import Any, NamedTuple
 
 import jax
 
-from dc2g_jax._src.estimation.checkpoints import CARD, keep_config, network_in_folder, newest_step, save_network
+from dc2g_jax._src.estimation.checkpoints import (
+    CARD,
+    SHIPPED_NETWORK,
+    keep_config,
+    network_in_folder,
+    newest_step,
+    save_network,
+)
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
-from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
+from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.readers.houses import SPLITS, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.rollouts.evaluation import evaluate
 from dc2g_jax._src.rollouts.results import Results
@@ -32,6 +40,7 @@ from dc2g_jax._src.training.cost_to_go_data import (
 from dc2g_jax._src.training.loop import PAUSES, Pauses, Recording, Task, fit
 from dc2g_jax._src.training.losses import LOSSES, Loss, loss_sha256, losses_as_text, named_loss
 from dc2g_jax._src.training.pairs import TrainingSet
+from dc2g_jax._src.training.score import ScoreConfig, learn_score
 from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
 #: Steps between episodes in validation houses, and number of validation pairs.
@@ -233,7 +242,7 @@ def train(
     out: str | os.PathLike[str],
     dataset: HouseDataset | str | os.PathLike[str] | None = None,
     *,
-    config: TrainingConfig | None = None,
+    config: TrainingConfig | ScoreConfig | None = None,
     data: DataConfig | None = None,
     pauses: Pauses = PAUSES,
     episodes_every: int = EPISODES_EVERY,
@@ -247,6 +256,9 @@ def train(
 ) -> Trained:
     """Train a cost-to-go network with pairs of partial maps and exact cost-to-go (Algorithm 1), and evaluate it.
 
+    With a `ScoreConfig`, learn instead what exploring costs: the weights of the score by which `dc2g` chooses its
+    subgoals, from rollouts (see `training.score`), for the network of `after`.
+
     Masks, checkpoints, log, curve and network are written to the folder. A training that stopped goes on from its last
     checkpoint; one that is finished is evaluated only. `dc2g train` is a call of this function; `sweep` trains many.
 
@@ -259,7 +271,8 @@ def train(
       out: folder of the training.
       dataset: houses, a folder of them, or a name such as `procedural`; `None` for the published ones, see
         `open_dataset`.
-      config: network, losses and steps. The side of its architecture becomes that of the dataset's maps.
+      config: network, losses and steps. The side of its architecture becomes that of the dataset's maps. Or how to
+        learn the score; of the other arguments, `after`, `split`, `card` and `begin` count then.
       data: houses and masks; by default fewer for fewer steps.
       pauses: when to validate, on pairs of validation houses, and to save; by default six times, and every two
         minutes.
@@ -280,6 +293,9 @@ def train(
     """
     keep_compiled_programs()
     out = Path(out)
+    if isinstance(config, ScoreConfig):
+        with_score = _score_learned(out, config, after, split, dict(card or {}), begin)
+        return _evaluated(with_score, dataset, split)
     config = config or TrainingConfig()
     check_number("--episodes-every", episodes_every, whole=True, least=0, hint="steps (0 for none)")
     validates = pauses.steps_between(config.steps) > 0
@@ -311,6 +327,36 @@ def train(
             recording=recording() if recording is not None and newest_step(out) < config.steps else None,
             begin_with=None if begin_with is None else begin_with.weights,
         )  # fmt: skip
+    return _evaluated(network, dataset, split)
+
+
+def _evaluated(network: NetworkCostToGo, dataset: Any, split: str | None) -> Trained:
+    """The network, and its planner's episodes in a split."""
     return Trained(
         network, None if split is None else evaluate(["frontier", "dc2g"], dataset, split=split, network=network)
     )
+
+
+def _score_learned(
+    out: Path,
+    config: ScoreConfig,
+    after: str | os.PathLike[str] | None,
+    split: str | None,
+    card: dict[str, Any],
+    begin: Callable[[], object] | None,
+) -> NetworkCostToGo:
+    """A trained network with a score learned for it, saved in the folder `network`."""
+    config.check()
+    if split is not None:
+        check_name("split", split, SPLITS)
+    folder = resource(SHIPPED_NETWORK) if after is None else local_folder(after)
+    network, before = network_in_folder(folder), read_object(folder / CARD, "give another network")
+    if not isinstance(network, NetworkCostToGo):
+        raise InputError(f"{after}: is no cost-to-go network in cells; give one of `dc2g train`")
+    if begin is not None:
+        begin()
+    keep_config(out, config, {"after": before["sha256"]})
+    last = learn_score(out, network, config)[-1]
+    facts = {"score": last.weights, "score_training": {**dataclasses.asdict(config), **card}}
+    save_network(out / "network", network, {**before, **facts})
+    return network_in_folder(out / "network")

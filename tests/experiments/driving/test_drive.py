@@ -14,7 +14,6 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Frontier, Oracle
-from dc2g_jax._src.planning.selection import ENDLESS
 from dc2g_jax.robot.driving.robot import DRIVING
 from dc2g_jax.robot.driving.vehicle import VehicleLimits
 from experiments.driving import fleet
@@ -69,11 +68,11 @@ def test_a_vehicle_keeps_its_limits_and_its_time(explored):
 def test_the_predicted_cost_to_go_of_each_decision_is_shown(tmp_path, monkeypatch, explored):
     assert explored[0].cost_to_go is None  # frontier exploration predicts nothing
     site = jax.tree.map(lambda leaf: leaf[0], SITES)
-    robot = made(planner_with("dc2g", RULES, network_in_folder(resource(SHIPPED_NOISY_NETWORK)), patience=ENDLESS))
+    robot = made(planner_with("dc2g", RULES, network_in_folder(resource(SHIPPED_NOISY_NETWORK))))
     first = reset(jax.random.key(0), (make_pose(9, 2, 2), False), site, robot)
     drive = list(fleet.moments(first, site, robot, 4.0))
     for moment in drive:
-        estimates = moment.robot.planner_state.choice.estimates
+        estimates = moment.robot.planner_state.estimates
         np.testing.assert_allclose(moment.cost_to_go, np.mean(estimates, axis=(0, 1)), rtol=1e-5)
         predicted = moment.cost_to_go[TRAVERSABLE[moment.robot.terrain]]
         assert np.isfinite(predicted).all()

@@ -1,4 +1,4 @@
-"""Train the cost-to-go network: `dc2g train --out checkpoints/mine`.
+"""Train the cost-to-go network: `dc2g train --out checkpoints/mine`; or, with `--target steps`, the planner's score.
 
 After an interruption, --resume continues where it stopped.
 """
@@ -16,14 +16,15 @@ from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, OptionalInt, 
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.hub import load_network
-from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.pairs import Pair
-from dc2g_jax._src.training.train import EPISODES_EVERY, train
+from dc2g_jax._src.training.score import ScoreConfig
+from dc2g_jax._src.training.train import EPISODES_EVERY, Trained, train
 from dc2g_jax._src.viewer.columns import viewer_sink
 from dc2g_jax._src.viewer.training_recording import (
     MAPS_SHOWN,
@@ -38,7 +39,15 @@ from dc2g_jax._src.viewer.training_recording import (
 class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
+    With `--target steps`, learn from rollouts what exploring costs: the weights of the score by which `dc2g` chooses
+    its subgoals, for the network of --after. Of the options below it takes --rounds, --maps, --houses, --split and
+    --seed.
+
     Attributes:
+      target: what to learn: the cost_to_go of every cell, or the steps that searches take.
+      rounds: rounds of rollouts and fits, with --target steps; each is kept only if it is better on fresh maps.
+      maps: maps without classes in a round, of each of two sizes; one decision in each.
+      houses: procedural houses in a round.
       after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
         of robots that it leads are added to the others (DAgger).
       loss: quantile, l1, l2, huber or log, or package.module:Name for one of your own; or a weighted sum of them such
@@ -60,6 +69,10 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
       connect: address of a running rerun viewer to send the training to, such as rerun+http://127.0.0.1:9876/proxy.
     """
 
+    target: Literal["cost_to_go", "steps"] = "cost_to_go"
+    rounds: int = ScoreConfig.rounds
+    maps: int = ScoreConfig.maps
+    houses: int = ScoreConfig.houses
     after: NetworkOption = None
     loss: str = "quantile"
     architecture: str = Architecture.network
@@ -123,6 +136,9 @@ def shown_by(options: Options, config: TrainingConfig, maps: Callable[[], Pair])
 def main(options: Options) -> None:
     """Train, validate, save and evaluate the network."""
     dataset = open_dataset(options.dataset)
+    if options.target == "steps":
+        _learn_score(options, dataset)
+        return
     config = options.training(max(dataset.houses[0].terrain.shape))
     maps = functools.cache(lambda: maps_to_watch(dataset, MAPS_SHOWN))  # the same validation houses in every run
     shown = shown_by(options, config, maps)
@@ -144,6 +160,21 @@ def main(options: Options) -> None:
         after=options.after, split=options.split, track=options.track, **shown,
         card={"command": command_written(), "commit": commit()}, begin=begin,
     )  # fmt: skip
+    _print_trained(options, trained)
+
+
+def _learn_score(options: Options, dataset: HouseDataset) -> None:
+    """Learn the weights of the score."""
+    config = ScoreConfig(options.rounds, options.maps, options.houses, seed=options.seed)
+    trained = train(
+        options.out, dataset, config=config, after=options.after, split=options.split,
+        card={"command": command_written(), "commit": commit()},
+        begin=lambda: output_folder(options, "train", free={"split"}, inputs=digests(dataset)),
+    )  # fmt: skip
+    _print_trained(options, trained)
+
+
+def _print_trained(options: Options, trained: Trained) -> None:
     print(f"Trained: {options.out / 'network'}")
     if trained.results is not None:
         print(f"In the houses of split {options.split}:\n{trained.results}")

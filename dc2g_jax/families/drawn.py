@@ -1,4 +1,4 @@
-"""Maps to learn on: free and occupied cells, of eight kinds, drawn anew from each seed. None is in a dataset."""
+"""Maps without classes to learn on, of eight kinds, drawn anew from each seed. None is in a dataset."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,13 +7,10 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
-from dc2g_jax._src.grid.ground import largest_piece
 from dc2g_jax.families.plain import draw_hall, draw_maze, draw_office
+from dc2g_jax.grid import FREE, OCCUPIED, ClassImage, largest_piece
 
 Free = Bool[np.ndarray, "h w"]
-
-#: Least number of cells a side.
-LEAST_SIDE = 40
 
 #: Least share of the cells that is free and connected.
 _LEAST_FREE = 0.06
@@ -182,3 +179,10 @@ def draw_map(kind: str, seed: tuple[int, ...], side: int) -> Free:
         piece = largest_piece(free)
         if piece.sum() >= _LEAST_FREE * free.size:
             return piece
+
+
+def plain_training_maps(count: int, seed: int, side: int) -> list[ClassImage]:
+    """So many maps of free and occupied cells, of all kinds in turn; uint8 [side side] each."""
+    kinds = list(KINDS)
+    drawn = (draw_map(kinds[number % len(kinds)], (seed, side, number), side) for number in range(count))
+    return [np.where(free, np.uint8(FREE), np.uint8(OCCUPIED)) for free in drawn]

@@ -1,1 +1,0 @@
-"""One score for all maps, learned from rollouts. The findings are in docs/notebook/one_score.md."""
