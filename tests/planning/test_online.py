@@ -5,6 +5,7 @@ import inspect
 import re
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import struct
@@ -13,11 +14,11 @@ from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
-from dc2g_jax._src.grid.terrain import FRONT_DOOR
+from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import online
 from dc2g_jax._src.planning.decisions import Candidate, Decision, RobotPose, explain
-from dc2g_jax._src.planning.learned_score import TERMS
+from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
 from dc2g_jax._src.planning.metric import MetricPlanner
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.online import OnlinePlanner
@@ -123,7 +124,14 @@ def test_every_step_of_an_episode_is_that_of_the_batch_planner():
     batch_planner = planner_with("dc2g", complete_rules(SENSING), BothViews(network()))
     terrains, starts = random_worlds(SHAPE, 900, episodes=8)
     for terrain, start in zip(terrains, starts, strict=True):
+        before: tuple[np.ndarray, Decision] | None = None
         for grid, pose, decision in episode(planner_of("dc2g"), terrain, start):
+            same = before is not None and np.array_equal(grid, before[0])
+            if before is not None and same and before[1].mode == "explore" and pose != before[1].subgoal:
+                assert decision.subgoal == before[1].subgoal  # kept while nothing new is seen
+                before = grid.copy(), decision
+                continue
+            before = grid.copy(), decision
             wanted = jax.device_get(plan(batch_planner, grid, pose))
             assert decision.mode == MODE_NAMES[wanted.mode]
             assert len(decision.actions) == wanted.length
@@ -413,6 +421,26 @@ def test_cells_may_change_between_calls():
     lost[5] = 0
     assert planner.plan(lost, (0, 0, 0)).mode == "explore"
     assert planner.plan(road, (0, 0, 0)).mode == "to_goal"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exploration_ends_whatever_the_weights_of_the_score(seed):
+    """A robot on an unchanged map keeps to its subgoal, or two poses could call it back and forth."""
+    rng = np.random.default_rng(seed)
+    weights = jnp.asarray(rng.normal(size=len(TERMS)), jnp.float32)
+    planner = OnlinePlanner(LearnedScore(complete_rules(SENSING), weights), sensing_range=SENSING, largest=LARGEST)
+    free = rng.random(SHAPE) < 0.8
+    y, x = np.argwhere(free)[0].tolist()
+    pose, seen, without_news = (x, y, 0), np.zeros(SHAPE, bool), 0
+    for _ in range(40 * free.sum()):
+        before, seen = seen.sum(), seen | oracle.visible(pose, SENSING, SHAPE)
+        without_news = 0 if seen.sum() > before else without_news + 1
+        assert without_news <= 4 * free.sum()
+        decision = planner.plan(np.where(seen, np.where(free, FREE, OCCUPIED), 0).astype(np.uint8), pose)
+        if decision.action is None:
+            break
+        pose = oracle.driven(pose, "FLR".index(decision.action), free)
+    assert decision.mode == "gave_up"
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------

@@ -3,12 +3,7 @@
 There are two definitions: that of the paper's text (`complete`) and that of the authors' published code (`reference`).
 """
 
-import functools
-
-import jax.numpy as jnp
-from jaxtyping import Array, UInt
-
-from dc2g_jax._src.grid import bitboard, poses
+from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, only
@@ -63,18 +58,3 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
     """
     frontier = belief.seen & bitboard.neighbors(unseen(belief))
     return _reachable_but_here(expanding.poses_that_see(frontier, belief.opaque), belief, reachable)
-
-
-def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UInt[Array, "h w *batch"]:
-    """Number of newly seen cells at the best candidate pose of each cell; 0 for cells without candidates.
-
-    Cells beyond the map's edge do not count.
-
-    Args:
-      belief: belief of the robot.
-      candidates: candidate poses.
-      sensing: the robot's field of view.
-    """
-    new = sensing.count_seen(unseen(belief), belief.opaque, belief.width)
-    # Not `jnp.max`, which is no part of an operation for 8-bit integers, see `programs.is_one_operation`.
-    return functools.reduce(jnp.maximum, jnp.where(poses.unpack(candidates, belief.width), new, 0))

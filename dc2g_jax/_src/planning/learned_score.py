@@ -261,7 +261,10 @@ class LearnedScore(Planner):
         """This planner for a single robot with a new state at every step, on maps of any size."""
         if self.estimator is None:
             return self
-        return dataclasses.replace(self, estimator=BothViews(padded(self.estimator)))
+        estimator, summary = padded(self.estimator), self.summary
+        if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
+            estimator, summary = estimator.summarized(summary), mean_outcome
+        return dataclasses.replace(self, estimator=BothViews(estimator), summary=summary)
 
     def init(self, world: World) -> ScoredChoice:
         """Nothing is reachable before the first observation. The estimator initializes its own state."""

@@ -27,7 +27,16 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax._src.planning.inputs import map_of, numbers_of
 from dc2g_jax._src.planning.named import make_planner
-from dc2g_jax._src.planning.planners import Assessment, Planner, PlannerLike, assess, distances_and_scores, memoryless
+from dc2g_jax._src.planning.planners import (
+    EXPLORE,
+    MODE_NAMES,
+    Assessment,
+    Planner,
+    PlannerLike,
+    assess,
+    distances_and_scores,
+    memoryless,
+)
 from dc2g_jax._src.planning.rules import Rules, complete_rules
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
@@ -75,10 +84,10 @@ class OnlinePlanner:
     decision = planner.plan(grid, (x, y, heading))
     ```
 
-    Each call plans from scratch and the planner keeps no memory, so cells of the map may change in any way. (Therefore
-    the network evaluates both the map and its mirror image at every call, and no earlier choice counts.) Exploration
-    ends if the robot observes everything in its field of view at every pose that it reaches. Mark cells that its sensor
-    cannot classify as `nothing`.
+    Each call plans from the map alone, so its cells may change in any way. (Therefore the network evaluates both the
+    map and its mirror image at every call.) Only while the map stays as it was does a robot on the path of the last
+    decision keep its subgoal. So exploration ends if the robot observes everything in its field of view at every pose
+    that it reaches. Mark cells that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
     longer sensing ranges. The programs are kept on disk (see
@@ -128,9 +137,11 @@ class OnlinePlanner:
         if (own := self.rules.sensing.radius) != sensing_range:
             raise InputError(f"sensing_range {sensing_range}: the planner's rules say {own}; give that")
         self._planner = memoryless(planner)
+        self._last: tuple[Any, tuple[RobotPose, ...]] | None = None  # the last map, and the path of the decision on it
         self.largest = rows, columns
         self._margin = max(_OPEN_MARGIN, sensing_range) if open_ended else 0
-        reader = getattr(self._planner, "estimator", self._planner)
+        reader = getattr(self._planner, "estimator", None)
+        reader = self._planner if reader is None else reader
         self._pads_maps = getattr(reader, "knows_outside", Planner.knows_outside)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
@@ -159,8 +170,16 @@ class OnlinePlanner:
         checked = _checked_grid(grid, self.largest)
         robot = _checked_pose(pose, checked, left, top)
         left, top = left - self._margin, top - self._margin
-        in_view = RobotPose(robot.x - left, robot.y - top, robot.heading)
-        return decide(self._view(self._padded(checked), in_view), left, top)
+        view = self._view(self._padded(checked), RobotPose(robot.x - left, robot.y - top, robot.heading))
+        map_now, before = (left, top, checked.shape, checked.tobytes()), self._last
+        if before is not None and before[0] == map_now and robot in before[1][:-1]:
+            x, y, heading = before[1][-1]
+            subgoals = np.zeros_like(view.subgoals)
+            subgoals[heading, y - top, x - left] = True
+            view = view._replace(subgoals=subgoals)
+        decision = decide(view, left, top)
+        self._last = (map_now, decision.path) if decision.mode == MODE_NAMES[EXPLORE] else None
+        return decision
 
     def _padded(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
         """The map with its margin, in the upper left corner of the smallest compiled grid that fits it."""

@@ -256,7 +256,7 @@ def check_planner(planner: PlannerLike) -> None:
     batch = getattr(planner, "batch_per_core", Planner.batch_per_core)
     if not (isinstance(batch, int) and batch > 0):
         raise InputError(f"{who}: batch_per_core is {short(batch)}; expected a number of robots, 1 or more")
-    if hasattr(planner, "estimator"):
+    if getattr(planner, "estimator", None) is not None:
         check_estimator(planner.estimator)
     sensing = sensing_of(planner) if hasattr(planner, "rules") else field_of_view(_SENSING_RANGE)
     worlds, index, starts = _robots()
