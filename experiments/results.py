@@ -88,7 +88,6 @@ def _names(results: Mapping[str, Any]) -> dict[str, Any]:
         **results,
         **{settings: results["fig7"][settings] for settings in ("published", "paper")},
         "starts": means("starts", "paper", "test"),
-        "trainings": [means("training", "published", "all"), means("training", "paper", "test")],
         "ahead": ahead,
         "alone": results["head-to-head dc2g_paper"]["groups"]["all"],
         "less": [-ahead["difference"], *(-bound for bound in reversed(ahead["difference_interval"]))],
@@ -111,7 +110,6 @@ def _search(one: Mapping[str, Any], mean: Callable[[Any], str]) -> str:
 _FORMS: dict[str, Callable[[Any], str]] = {
     "cells": " | ".join,
     "change": lambda mean: with_interval(Mean(*mean), "+"),
-    "deviation": lambda numbers: f"{statistics.stdev(numbers):.1f}",
     "extra": lambda one: f"{one['mean_extra']:.1f} ({one['median_extra']:.1f})",
     "extras": lambda groups: " | ".join(map(_FORMS["extra"], groups.values())),
     "interval": lambda one: f"{one['mean_low']:.1f} to {one['mean_high']:.1f}",
