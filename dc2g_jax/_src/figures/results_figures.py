@@ -159,9 +159,11 @@ def plot_leaderboard(path: str | Path, families: Families) -> None:
         plain_axes(axes, grid="both", label_size=6.5)
     all_axes[0].set_xscale("log")
     all_axes[0].set_xlim(low, high)
-    ticks = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.2)
+    ticks = (0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
     all_axes[0].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     all_axes[0].minorticks_off()
+    for axes in all_axes[max(0, len(families) - columns) : len(families)]:  # no panel is below
+        axes.tick_params(labelbottom=True)
     all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])
     figure.supxlabel("steps relative to frontier exploration: geometric mean, 95 % interval over maps", fontsize=7.5)
     save_figure(figure, path, dpi=200)
