@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_line
-from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.files.reading import check_file
@@ -25,7 +25,7 @@ from dc2g_jax.families import with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(OutOptions, ResumeOptions):
+class Options(NetworksOptions, OutOptions, ResumeOptions):
     """Steps of planners relative to frontier exploration, by collection, from random starts to a door at random.
 
     Attributes:
@@ -72,7 +72,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "foreign_maps")
     runner = Runner(dataset, named_settings("paper"), progress=EpisodeProgress())
     results = EpisodeTable(out / "episodes.csv").run(
-        runner, sample_starts(dataset.houses, 1, seed=options.seed), planners
+        runner, sample_starts(dataset.houses, 1, seed=options.seed), planners, options.open(planners)
     )
     families = families_of(results, dict.fromkeys((house.name for house in dataset.houses), runner.step_limit))
     heads = " | ".join(f"{name} ({len(set(family.maps))})" for name, family in families.items())
