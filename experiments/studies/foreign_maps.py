@@ -11,7 +11,7 @@ import numpy as np
 
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_line
 from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
-from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
+from dc2g_jax._src.cli.options import OutOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.files.reading import check_file
 from dc2g_jax._src.planning.rules import named_settings
@@ -25,7 +25,7 @@ from dc2g_jax.families import with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(NetworksOptions, OutOptions, ResumeOptions):
+class Options(NetworksOptions, OutOptions):
     """Steps of planners relative to frontier exploration, by collection, from random starts to a door at random.
 
     Attributes:
