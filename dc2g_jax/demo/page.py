@@ -152,7 +152,7 @@ class Page:
         planners = ui.select(offered, label="Planners", value=state.planners, multiple=True).props("use-chips")
         planners.classes("w-full").on_value_change(lambda event: self._set("planners", list(event.value)))
         self._slider("sensing_range", "Sensing range in cells", 1, 20, 1)
-        ui.label("DC2G: score = predicted cost-to-go + distance - information gain").classes("text-xs text-grey-8 mt-2")
+        ui.label("DC2G: score = predicted cost-to-go + way there - what it reveals").classes("text-xs text-grey-8 mt-2")
         self._slider("distance_weight", "Weight of distance", 0, 2, 0.01)
         self._slider("gain_weight", "Weight of information gain", 0, 20, 0.1)
         ui.label("After a change, the planners compile for some seconds.").classes("text-xs text-grey-8")

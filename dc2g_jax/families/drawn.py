@@ -1,4 +1,4 @@
-"""Maps without classes to learn on, of eight kinds, drawn anew from each seed. None is in a dataset."""
+"""Procedural maps without classes to train on: eight kinds, new for each seed. None is in a dataset."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,18 +12,18 @@ from dc2g_jax.grid import FREE, OCCUPIED, ClassImage, largest_piece
 
 Free = Bool[np.ndarray, "h w"]
 
-#: Least share of the cells that is free and connected.
+#: Smallest share of the cells that are free and connected.
 _LEAST_FREE = 0.06
 
 
 def _box(free: Free, rng: np.random.Generator, least: int, most: int, value: bool) -> None:
-    """Set a rectangle of random place and size."""
+    """Set a rectangle of random position and size."""
     (row, column), (down, across) = rng.integers(len(free), size=2), rng.integers(least, most, size=2)
     free[row : row + down, column : column + across] = value
 
 
 def _enlarged(draw: Callable[[np.random.Generator], Free]) -> Callable[[np.random.Generator, int], Free]:
-    """Maps of 50 cells a side drawn larger, each cell as several."""
+    """Maps of 50 cells a side, enlarged: each cell becomes a square of several."""
 
     def drawn(rng: np.random.Generator, side: int) -> Free:
         factor = -(-side // 50)
@@ -33,7 +33,7 @@ def _enlarged(draw: Callable[[np.random.Generator], Free]) -> Callable[[np.rando
 
 
 def draw_rooms(rng: np.random.Generator, side: int) -> Free:
-    """A building: parted again and again, first by corridors, then by walls with doors, down to rooms."""
+    """A building, divided recursively into rooms: first by corridors, then by walls with doors."""
     free = np.zeros((side, side), bool)
     free[1:-1, 1:-1] = True
     least, wide, corridors = (int(rng.integers(*limits)) for limits in ((4, 14), (2, 5), (0, 4)))
@@ -86,7 +86,7 @@ def draw_land(rng: np.random.Generator, side: int) -> Free:
 
 
 def draw_blocks(rng: np.random.Generator, side: int) -> Free:
-    """City blocks: streets, and between them buildings, squares and courtyards; some cities are turned."""
+    """City blocks: streets, and between them buildings, squares and courtyards; some cities are rotated."""
     free = np.zeros((side, side), bool)
     edges = []
     for axis in (0, 1):
@@ -112,7 +112,7 @@ def draw_blocks(rng: np.random.Generator, side: int) -> Free:
 
 
 def draw_dungeon(rng: np.random.Generator, side: int) -> Free:
-    """A dungeon: rooms anywhere, linked by bent passages, with some loops."""
+    """A dungeon: rooms at random positions, linked by L-shaped passages, with some loops."""
     free = np.zeros((side, side), bool)
     largest, wide = int(rng.integers(6, 20)), int(rng.integers(1, 4))
     middles: list[np.ndarray] = []
@@ -138,7 +138,7 @@ def draw_dungeon(rng: np.random.Generator, side: int) -> Free:
     return free
 
 
-#: What is drawn, by kind: `(random numbers, side) ->` free cells.
+#: Functions that draw each kind of map: `(random numbers, side) ->` free cells.
 KINDS: dict[str, Callable[[np.random.Generator, int], Free]] = {
     "mazes": _enlarged(draw_maze),
     "halls": _enlarged(draw_hall),
@@ -152,7 +152,7 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Free]] = {
 
 
 def _as_a_robot_maps_it(free: Free, rng: np.random.Generator) -> Free:
-    """One map in four with specks, or with frayed walls."""
+    """The map; in one of four cases with specks or frayed walls."""
     kind = rng.random()
     if kind < 0.15:
         return free & (rng.random(free.shape) > rng.uniform(0.005, 0.04))
@@ -162,7 +162,7 @@ def _as_a_robot_maps_it(free: Free, rng: np.random.Generator) -> Free:
 
 
 def draw_map(kind: str, seed: tuple[int, ...], side: int) -> Free:
-    """The largest piece of connected free cells of a map of a kind. One map in four fills a part of the square only.
+    """The largest connected piece of free cells of a map. One map in four fills only part of the square.
 
     Args:
       kind: one of `KINDS`.
@@ -182,7 +182,7 @@ def draw_map(kind: str, seed: tuple[int, ...], side: int) -> Free:
 
 
 def plain_training_maps(count: int, seed: int, side: int) -> list[ClassImage]:
-    """So many maps of free and occupied cells, of all kinds in turn; uint8 [side side] each."""
+    """`count` maps of free and occupied cells, of all kinds in turn; uint8 [side side] each."""
     kinds = list(KINDS)
     drawn = (draw_map(kinds[number % len(kinds)], (seed, side, number), side) for number in range(count))
     return [np.where(free, np.uint8(FREE), np.uint8(OCCUPIED)) for free in drawn]

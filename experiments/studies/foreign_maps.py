@@ -1,6 +1,6 @@
-"""Planners on maps that others drew: `python -m experiments.studies.foreign_maps --maps FILE.npz`.
+"""Planners on maps from other collections: `python -m experiments.studies.foreign_maps --maps FILE.npz`.
 
-The file holds maps without classes from several collections: arrays `names` (collection/map) and `free` (a bit a cell).
+The file holds maps without classes, as arrays: `names` (collection/map) and `free` (one bit per cell).
 """
 
 import dataclasses
@@ -26,12 +26,12 @@ from dc2g_jax.families import with_door
 
 @dataclasses.dataclass(frozen=True)
 class Options(NetworksOptions, OutOptions):
-    """Steps of planners relative to frontier exploration, by collection, from random starts to a door at random.
+    """Steps of planners relative to frontier exploration, by collection, from random starts to random doors.
 
     Attributes:
       maps: the file.
       planner: planners to compare; frontier is added.
-      starts: starts in each map, each with a door of its own.
+      starts: starts in each map, each with its own door.
       seed: seed of doors and starts.
     """
 
@@ -42,7 +42,7 @@ class Options(NetworksOptions, OutOptions):
 
 
 def foreign_dataset(path: Path, starts: int, seed: int) -> HouseDataset:
-    """The maps, each several times, with a door at random.
+    """The maps, each `starts` times, with random doors.
 
     Raises:
       InputError: the file cannot be read or holds no such maps.
@@ -52,14 +52,21 @@ def foreign_dataset(path: Path, starts: int, seed: int) -> HouseDataset:
     try:
         with np.load(path) as file:
             names, free = file["names"], np.unpackbits(file["free"], axis=-1).astype(bool)
-    except (ValueError, LookupError, TypeError, zipfile.BadZipFile) as error:
+        _, side, width = free.shape
+        if names.shape != free.shape[:1] or not side <= width < side + 8:
+            raise ValueError(
+                f"names {names.shape}, free {free.shape}: the maps are not square, or not as many as names"
+            )
+    except (EOFError, ValueError, LookupError, TypeError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: holds no maps ({error}); {hint}") from None
     houses = []
     for number, (name, cells) in enumerate(zip(names, free, strict=True)):
         for door in range(starts):
-            terrain = with_door(cells[:, : cells.shape[0]], np.random.default_rng([seed, number, door]))
+            terrain = with_door(cells[:, :side], np.random.default_rng([seed, number, door]))
             if terrain is not None:
                 houses.append(House(f"{name}/{door}", "val", terrain))
+    if not houses:
+        raise InputError(f"{path}: no map has enough free cells; {hint}")
     return HouseDataset("foreign", "folder", tuple(houses))
 
 
@@ -75,7 +82,8 @@ def main(options: Options) -> None:
         runner, sample_starts(dataset.houses, 1, seed=options.seed), planners, options.open(planners)
     )
     families = families_of(results, dict.fromkeys((house.name for house in dataset.houses), runner.step_limit))
-    heads = " | ".join(f"{name} ({len(set(family.maps))})" for name, family in families.items())
+    counts = {name: len({house.rpartition("/")[0] for house in family.maps}) for name, family in families.items()}
+    heads = " | ".join(f"{name} ({count})" for name, count in counts.items())
     lines = [f"| planner | all | {heads} |", f"|---|{'---|' * (len(families) + 1)}"]
     for planner in in_order(families):
         own = " | ".join(f"{family.ratio(planner).mean:.2f}" for family in families.values())

@@ -1,13 +1,16 @@
 """The planner of a learned score against plain NumPy, and what it promises."""
 
+import dataclasses
 import functools
 import json
 import shutil
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
@@ -45,8 +48,15 @@ def scattered(observed: np.ndarray) -> np.ndarray:
     return np.asarray(Scattered().estimate(observed, ()))[0]
 
 
+@struct.dataclass
+class OfClasses(Scattered):
+    """One that predicts nothing from free and occupied cells, like a network."""
+
+    needs_classes: ClassVar[bool] = True
+
+
 #: Estimators, and what each says of a map in plain NumPy.
-ESTIMATORS = {"none": (None, None), "scattered": (Scattered(), scattered)}
+ESTIMATORS = {"none": (None, None), "scattered": (OfClasses(), scattered)}
 
 with_and_without = pytest.mark.parametrize("estimator", ESTIMATORS)
 
@@ -175,7 +185,7 @@ def test_episodes_equal_those_of_plain_numpy(estimator):
 def test_an_estimator_is_not_asked_about_maps_without_classes():
     terrain, seen, pose, _ = moments()[0]
     terrain = without_classes(terrain)
-    planner, without = (LearnedScore(RULES, jnp.asarray(random_weights(3)), one) for one in (Scattered(), None))
+    planner, without = (LearnedScore(RULES, jnp.asarray(random_weights(3)), one) for one in (OfClasses(), None))
     state = planner.init(World.from_terrain(terrain))
     belief = belief_of(terrain, seen, pose)
     asked, (due, *_) = planner.look(belief, state)
@@ -185,6 +195,8 @@ def test_an_estimator_is_not_asked_about_maps_without_classes():
     other, _ = without.assess(belief, without.init(World.from_terrain(terrain)))
     jax.tree.map(np.testing.assert_array_equal, assessment.plan, other.plan)
     np.testing.assert_allclose(assessment.score, other.score, rtol=1e-5)
+    everywhere = dataclasses.replace(planner, estimator=Scattered())  # one that does not need classes
+    assert bool(everywhere.look(belief, state._replace(chosen_from=0 * belief.seen))[0])
 
 
 def test_it_gives_up_where_estimates_are_no_numbers():

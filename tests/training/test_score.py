@@ -99,6 +99,7 @@ def test_the_best_candidate_is_tried_first():
         assert len(tried.value) > 2
         assert tried.terms.shape[1:] == (6, len(TERMS))
         assert ((tried.share > 0) & (tried.share <= 1)).all()
+        assert (tried.terms[..., TERMS.index("actions")] > 0).all()  # no candidate is where the robot is
         score = tried.cost + tried.terms @ WEIGHTS
         assert (score[:, 0] <= score.min(axis=1) + 1e-3).all()
 
@@ -114,7 +115,7 @@ def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
     assert "on fresh maps" in capsys.readouterr().out
     round_1 = json.loads((out / "round-1.json").read_text())
     assert round_1["weights"] == {term: pytest.approx(float(trained.network.score[term])) for term in TERMS}
-    planner = planner_with("dc2g", RULES, network_in_folder(out / "network"))
+    planner = planner_with("dc2g", RULES, network_in_folder(save_network(tmp_path / "copy", trained.network)))
     assert np.allclose(planner.weights, list(round_1["weights"].values()))
     before = (out / "round-1-1.npz").stat().st_mtime_ns
     train(out, "procedural", config=SMALL, split=None)
@@ -124,8 +125,11 @@ def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
 
 
 def test_what_makes_no_sense_is_refused(tmp_path):
-    for config, said in ((ScoreConfig(rounds=0), "--rounds 0"), (ScoreConfig(sides=(8,)), "--sides 8")):
+    invalid = [(ScoreConfig(rounds=0), "--rounds 0"), (ScoreConfig(sides=(8,)), "--sides 8")]
+    invalid += [(ScoreConfig(sides=()), "sides is empty"), (ScoreConfig(seed=2**31), "--seed 2147483648")]
+    for config, said in invalid:
         refusal(lambda: train(tmp_path / "out", "procedural", config=config), said, "give")  # noqa: B023
+    refusal(lambda: train(tmp_path / "out", tmp_path / "none", config=SMALL), "none", "give")
     assert not (tmp_path / "out").exists()
     folder = save_network(tmp_path / "net", random_network(Architecture(widths=(4, 8))), {"score": {"gain": "much"}})
     refusal(lambda: network_in_folder(folder), "network.json: weight of gain 'much'", "train the score anew")

@@ -126,7 +126,8 @@ def write_network(
 
 def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, Any] | None = None) -> Path:
     """Save a compact network, or one of the user's own in its place, see `write_network`."""
-    return write_network(folder, network.weights, network.architecture, COMPACT, card)
+    score = {} if network.score is None else {"score": {term: float(weight) for term, weight in network.score.items()}}
+    return write_network(folder, network.weights, network.architecture, COMPACT, {**score, **(card or {})})
 
 
 def code_in_card(card: dict[str, Any]) -> str | None:

@@ -60,6 +60,7 @@ class Estimator(Protocol):
       extent: the part of the map that it is given.
       side: longer side of the maps that it was trained on, in cells; `None` if it knows maps of any size.
       is_compact: whether it is a network whose layers are those of `CompactUNet`.
+      needs_classes: whether it predicts nothing from free and occupied cells alone; `LearnedScore` then does without.
       score: weights of the terms of `planning.learned_score.LearnedScore` that were learned with it, by name; `None`
         for those of the shipped network.
     """
@@ -69,6 +70,7 @@ class Estimator(Protocol):
     extent: Extent = WHOLE_MAP
     side: int | None = None
     is_compact: bool = False
+    needs_classes: ClassVar[bool] = False
     score: Mapping[str, Float[Array, ""]] | None = None
 
     def init(self, world: World) -> Any:
@@ -192,6 +194,7 @@ class NetworkCostToGo(Estimator):
     weights: Any
     architecture: Architecture = struct.field(pytree_node=False)
     summary: Callable[[Array], Array] | None = struct.field(pytree_node=False, default=None)
+    needs_classes: ClassVar[bool] = True
     score: Mapping[str, Float[Array, ""]] | None = None
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:

@@ -28,6 +28,7 @@ class PaddedNetwork(Estimator):
 
     network: NetworkCostToGo
     knows_outside: ClassVar[bool] = True
+    needs_classes: ClassVar[bool] = True
 
     def summarized(self, summary: Callable[[Array], Array]) -> "PaddedNetwork":
         """See `NetworkCostToGo.summarized`."""

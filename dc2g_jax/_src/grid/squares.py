@@ -1,4 +1,4 @@
-"""Values at single cells, and numbers of cells in rectangles."""
+"""Values at single cells, and counts of cells in rectangles."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ def at_cells(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point 
 
 
 def corner_sums(cells: Bool[Array, "..."], lead: int = 0) -> Int[Array, "..."]:
-    """Number of cells of a set above and to the left of each corner of the grid, for `in_rectangle`.
+    """Summed-area table: number of cells of a set above and left of each grid corner, for `in_rectangle`.
 
     Args:
       cells: the set `[h w *batch]`, or several along axes before.
@@ -37,7 +37,7 @@ def in_rectangle(
     right: Int[Array, "point *batch"],
     bottom: Int[Array, "point *batch"],
 ) -> Int[Array, "..."]:
-    """Number of cells of a set in columns `left` to `right - 1` and rows `top` to `bottom - 1`, as far as on the map.
+    """Number of cells of a set in columns `left` to `right - 1` and rows `top` to `bottom - 1`, clipped to the map.
 
     Args:
       sums: the set's `corner_sums`.

@@ -77,7 +77,7 @@ class Decision:
 
     @functools.cached_property
     def candidates(self) -> tuple[Candidate, ...]:
-        """Candidates for exploration, one per cell: the subgoal first, then in ascending order of score.
+        """Candidates for exploration, one per cell: usually the subgoal first, then in ascending order of score.
 
         Empty in the other modes. Ranked when first asked for.
         """

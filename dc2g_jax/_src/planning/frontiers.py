@@ -10,15 +10,10 @@ from dc2g_jax._src.grid.poses import PoseSet, only
 from dc2g_jax._src.grid.sensing import FieldOfView, Kernel
 
 
-def _beyond(belief: Belief, known: Board) -> Board:
-    """In-bounds cells that are not in a set."""
-    beyond = bitboard.complement(known, belief.width)
-    return beyond if belief.outside is None else beyond & ~belief.outside
-
-
 def unseen(belief: Belief) -> Board:
     """In-bounds cells that have not been observed."""
-    return _beyond(belief, belief.seen)
+    beyond = bitboard.complement(belief.seen, belief.width)
+    return beyond if belief.outside is None else beyond & ~belief.outside
 
 
 def _reachable_but_here(pose_set: PoseSet, belief: Belief, reachable: Board) -> PoseSet:

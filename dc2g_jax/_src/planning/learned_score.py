@@ -1,4 +1,4 @@
-"""A planner that goes where a learned score is lowest: what exploring from there costs, on any kind of map."""
+"""A planner that goes where a learned score, the cost of exploring from there, is lowest, on any kind of map."""
 
 import dataclasses
 import functools
@@ -38,10 +38,10 @@ from dc2g_jax._src.planning.selection import mean_outcome
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import apart
 
-#: Cells a side of the squares that the map is divided into; each has one candidate at most.
+#: Cells a side of the squares that the map is divided into; each has at most one candidate.
 SIDE = 8
 
-#: Terms of the score that differ from pose to pose within a square, see `LearnedScore`; they choose its candidate.
+#: Terms of the score that differ between the poses of a square, see `LearnedScore`; they select its candidate.
 POSE_TERMS = ("actions", "log_actions", "gain", "log_gain", "kept")
 
 #: Terms about what is around a candidate.
@@ -50,14 +50,14 @@ AREA_TERMS = ("unseen_8", "unseen_16", "unseen_32", "free_ahead", "frontier", "s
 #: All terms but the cost-to-go, whose weight is 1.
 TERMS = (*POSE_TERMS, *AREA_TERMS)
 
-#: Those for the way to a candidate; the others tell what it reveals.
+#: Terms of the path to a candidate; the others tell what it reveals.
 _WAY = tuple(TERMS.index(term) for term in ("actions", "log_actions", "straight_ahead", "winding"))
 
 #: Distance ahead and radius, in cells, of the squares of the area terms: unobserved, free and frontier cells.
 _UNSEEN, _FREE, _FRONTIER = ((0, 8), (0, 16), (0, 32)), (6, 4), (0, 3)
 
-#: XLA has no code for the least of floats within an operation of a CPU. So scores are rounded to integers: 23 bits with
-#: the sign.
+#: XLA has no code for the minimum of floats within one CPU operation. So scores are rounded to integers of 23 bits,
+#: sign included.
 _STEPS_PER_CELL, _MOST_STEPS = 2**11, 2**22 - 1
 
 
@@ -66,7 +66,7 @@ class Candidates(NamedTuple):
 
     Attributes:
       pose: the poses.
-      present: whether the square has one.
+      present: whether the square has a candidate.
       cost: predicted cost-to-go there, in cells; 0 without prediction.
       terms: values of `TERMS`.
       score: the score, in cells.
@@ -107,7 +107,7 @@ def _as_integers(score: Float[Array, "..."]) -> Int[Array, "..."]:
 
 
 def _weighted(weights: Sequence[Array] | Array, values: Float[Array, "term ..."]) -> Float[Array, "..."]:
-    """The weighted sum, added term by term: XLA has no code for such a sum within an operation of a CPU."""
+    """The weighted sum, added term by term: XLA has no code for such a sum within one CPU operation."""
     return functools.reduce(jnp.add, [weight * value for weight, value in zip(weights, values, strict=True)])
 
 
@@ -120,7 +120,7 @@ def _pose_terms(view_size: int, distance: Array, gain: Array, kept: Array) -> Fl
 def _best_of_squares(
     eligible: Bool[Array, "heading h w *batch"], score: Float[Array, "heading h w *batch"]
 ) -> tuple[Pose, Bool[Array, "square *batch"]]:
-    """The eligible pose of the lowest score in each square, and whether there is one."""
+    """The eligible pose with the lowest score in each square, and whether there is one."""
     height, width, *batch = score.shape[1:]
     down, across = -(-height // SIDE), -(-width // SIDE)
     place = np.arange(HEADINGS)[:, None, None] * SIDE**2 + np.arange(height)[:, None] % SIDE * SIDE
@@ -196,6 +196,11 @@ class BothViews(Estimator):
         return trait(self.estimator, "knows_outside")
 
     @property
+    def needs_classes(self) -> bool:  # type: ignore[override]
+        """See `Estimator`."""
+        return trait(self.estimator, "needs_classes")
+
+    @property
     def extent(self) -> Extent:  # type: ignore[override]
         """See `Estimator`."""
         return trait(self.estimator, "extent")
@@ -213,34 +218,36 @@ class BothViews(Estimator):
 
 @struct.dataclass
 class LearnedScore(Planner):
-    """Heads for the candidate of the lowest score, or for the goal once it is reachable.
+    """Heads for the candidate with the lowest score, or for the goal once it is reachable.
 
-    A candidate is a pose that reveals something: in each square of 8 cells a side the one of the lowest sum of the
-    terms that differ within a square. The score tells what a search from there costs, in cells of cost-to-go:
+    Candidates are poses that reveal something: in each square of 8 cells a side, the pose with the lowest sum of the
+    cost and the terms that differ within a square. The score is the cost of a search from there, in cells of
+    cost-to-go:
 
         score = cost + weights * terms
 
-    `cost` is the estimator's cost-to-go: the mean of its last answers to the map and to its mirror image, asked in
-    turn; 0 where nothing has been observed that tells more than free and occupied cells, and it is not asked there. In
-    a town (see `estimation.extents.TownWindow`) it is asked about the surroundings of the robot. The terms are:
+    `cost` is the estimator's cost-to-go: the mean of its last answers to the map and to its mirror image, which it is
+    given in turn. While only free and occupied cells have been observed, the estimator is not asked and `cost` is 0. In
+    a town (see `estimation.extents.TownWindow`) it is given the surroundings of the robot. The terms are:
 
     - `actions` to the pose, and `log_actions`, the logarithm of one more;
-    - `gain`, newly seen cells there in fields of view, and `log_gain`, the logarithm of their number;
-    - `kept`, 1 for the last choice, so that a choice holds;
+    - `gain`, the cells newly seen there as a share of the field of view, and `log_gain`, the logarithm of their number;
+    - `kept`, 1 for the last choice, so that choices are stable;
     - `unseen_R`, the share of unobserved cells in the square of radius R around the pose; `free_ahead`, of free cells
       in that of radius 4 around the cell 6 ahead; `frontier`, frontier cells in that of radius 3, per cell of its side;
-    - `straight_ahead`, cells ahead of the robot along its heading; `winding`, actions per cell of the way.
+    - `straight_ahead`, cells ahead of the robot along its heading; `winding`, actions divided by 4 more than the
+      Manhattan distance.
 
-    The weights are learned from what searches cost, see `training.score`. Nothing is chosen anew while nothing new is
-    seen, so exploration ends.
+    The weights are learned from searches, see `training.score`. The robot chooses again only after it has seen
+    something new, so exploration ends.
 
     Attributes:
       rules: field of view and poses of a goal.
       weights: weight of each of `TERMS`.
       estimator: estimator of the cost-to-go, in cells; `None` to do without.
       summary: summary of its outcomes, such as a quantile, see `planning.selection`.
-      replan_fraction: share of the cells in the field of view that must be newly seen before the planner chooses anew;
-        it also does when its subgoal reveals nothing more.
+      replan_fraction: share of the cells in the field of view that must be newly seen before the planner chooses again;
+        it also does so when its subgoal reveals nothing more.
       terms: names of the terms, in the order of the weights.
     """
 
@@ -296,8 +303,14 @@ class LearnedScore(Planner):
         due = choice_is_due(
             belief, reachable, revealing, state.subgoal, state.chosen_from, self.rules, self.replan_fraction
         )
-        asked = due & has_classes(belief, belief.seen) if self.estimator is not None else jnp.zeros_like(due)
-        return asked, (due, reachable, revealing)
+        return due & self._readable(belief, belief.seen), (due, reachable, revealing)
+
+    def _readable(self, belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
+        """Whether there is an estimator that predicts something from these observed cells."""
+        if self.estimator is None:
+            return jnp.zeros(belief.pose.x.shape, bool)
+        every = jnp.bool_(not trait(self.estimator, "needs_classes"))
+        return has_classes(belief, cells) | every
 
     def ask(self, belief: Belief, state: ScoredChoice) -> Estimates:
         """The estimator's answer to the map or its mirror image, in turn."""
@@ -336,13 +349,14 @@ class LearnedScore(Planner):
         return Candidates(pose, present, costs, terms, costs + _weighted(self.weights, terms))
 
     def choose(self, inputs: tuple[Belief, Board, PoseSet], state: ScoredChoice, ask: Ask) -> ScoredChoice:
-        """The candidate of the lowest score; none if a score is NaN."""
+        """The candidate with the lowest score; none if a score is NaN."""
         belief, reachable, revealing = inputs
         estimates = state.estimates
         if self.estimator is not None:
-            known, knew = has_classes(belief, belief.seen), has_classes(belief, state.chosen_from)
+            known = self._readable(belief, belief.seen)
+            knew = self._readable(belief, state.chosen_from) & (state.choices > 0)
             merged = self._extent(belief).merged(ask(belief, state), belief.pose, estimates[0])
-            latest = jnp.where(known, merged, 0.0)
+            latest = jnp.where(known, merged, estimates[0])
             # The first estimate stands for both views.
             estimates = latest, jnp.where(known & knew, estimates[0], latest)
         cost = (estimates[0][0] + estimates[1][0]) / 2
@@ -371,7 +385,7 @@ class LearnedScore(Planner):
         return assessment, state._replace(reachable=reachable)
 
     def revised(self, state: ScoredChoice, changed: Board) -> ScoredChoice:
-        """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
+        """The state without reachable cells, which may be lost. Another choice is due if observed cells changed."""
         return state._replace(
             reachable=jnp.zeros_like(state.reachable),
             chosen_from=state.chosen_from & ~changed,
@@ -382,7 +396,7 @@ class LearnedScore(Planner):
 def _on_map(
     belief: Belief, found: Candidates, penalty: Float[Array, "square *batch"]
 ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
-    """The candidates as a set of poses, and each cell's score and penalty, those of its square's candidate."""
+    """The candidates as a set of poses, and for each cell, the score and penalty of its square's candidate."""
     height, width, batch = belief.height, belief.width, belief.pose.x.shape
     rows, columns = (
         jnp.arange(size).reshape(*shape, *(1 for _ in batch)) for size, shape in ((height, (-1, 1)), (width, (1, -1)))

@@ -85,9 +85,9 @@ class OnlinePlanner:
     ```
 
     Each call plans from the map alone, so its cells may change in any way. (Therefore the network evaluates both the
-    map and its mirror image at every call.) Only while the map stays as it was does a robot on the path of the last
-    decision keep its subgoal. So exploration ends if the robot observes everything in its field of view at every pose
-    that it reaches. Mark cells that its sensor cannot classify as `nothing`.
+    map and its mirror image at every call.) There is one exception: while the map is unchanged, a robot on the path of
+    the last decision keeps its subgoal. So exploration ends if the robot observes everything in its field of view at
+    every pose that it reaches. Mark cells that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
     longer sensing ranges. The programs are kept on disk (see

@@ -1,9 +1,9 @@
-"""What exploring costs: the weights of `LearnedScore`, learned from paired rollouts.
+"""The cost of exploring: the weights of `LearnedScore`, learned from paired rollouts.
 
 At a decision of the current planner several candidates are tried: each is followed to the end of the search in the same
-hidden map. The value of a candidate is the mean logarithm of the actions after which a target can be reached. Targets
-are the goals; on maps without one, each free cell counts as the goal, so that its place adds no noise. The weights are
-a least-squares fit of the differences between the candidates of a decision, in which the map cancels.
+hidden map. The value of a candidate is the mean logarithm of the number of actions after which a target can be reached.
+Targets are the goals; on maps without goals, all free cells, so that no random goal adds noise. The weights are a
+least-squares fit of the differences between the candidates of a decision, in which the effect of the map cancels.
 """
 
 import dataclasses
@@ -30,33 +30,33 @@ from dc2g_jax._src.planning.planners import GAVE_UP, PlannerLike
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.starts import start_cells
 from dc2g_jax._src.runtime.devices import batched, deal, gather, mesh_of, on_each
-from dc2g_jax._src.runtime.errors import InputError, check_number, check_seed
+from dc2g_jax._src.runtime.errors import InputError, check_number
 from dc2g_jax._src.runtime.plugins import plugins
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 
-#: Weights to begin with: the next best view, log gain less a tenth of the actions, and the cost-to-go.
+#: Initial weights: the next best view (log gain less a tenth of the actions) and the cost-to-go.
 START = {"actions": 1.0, "log_gain": -10.0, "kept": -2.0}
 
-#: Weight of the last choice, in cells. Rollouts follow each choice to its end, so they do not tell it.
+#: Weight of the last choice, in cells. Rollouts follow each choice to its end, so they cannot determine it.
 _KEPT = TERMS.index("kept")
 
 #: Candidates tried at a decision: the best, two of the best eight, and any.
 _TRIED, _GOOD, _BEST = 6, 3, 8
 
-#: Actions added to each count: about those from the first sight of a target to it.
+#: Actions added to each count on maps without goals: about those between first seeing a target and reaching it.
 _LAST_ACTIONS = 6
 
 #: Actions after which a rollout ends, for each cell of a side of the map.
 _LIMIT = 100
 
-#: A share of the field of view that is never new: choices are kept while their pose reveals something.
+#: A `replan_fraction` that is never reached: choices are kept while their pose reveals something.
 _NEVER = 1e3
 
-#: Cells a side of the houses; the largest number of rounds; and share of a round's maps that judge it.
+#: Cells a side of the houses; limit of the number of rounds; size of a round's comparison as a share of its maps.
 _HOUSE_CELLS, _MOST_ROUNDS, _JUDGED = 50, 1_000, 0.25
 
-#: The decision to try candidates at is one of the first so many, for each 50 cells of a side.
+#: Candidates are tried at one of the first so many decisions, for each 50 cells of a side.
 _DECISIONS = 16
 
 
@@ -65,12 +65,12 @@ class ScoreConfig:
     """How the weights of the score are learned.
 
     Attributes:
-      rounds: number of rounds: rollouts, fit, and a comparison on fresh maps, by which it is kept or not.
+      rounds: number of rounds. Each runs rollouts, fits the weights, and keeps them if they are better on fresh maps.
       maps: maps without classes in a round, for each size; one decision in each.
       houses: procedural houses in a round.
       starts: decisions in each house.
       sides: cells a side of the maps without classes.
-      seed: of everything random.
+      seed: seed of all random numbers.
     """
 
     rounds: int = 2
@@ -86,12 +86,14 @@ class ScoreConfig:
         Raises:
           InputError: one is out of bounds.
         """
+        if not self.sides:
+            raise InputError("sides is empty; give the sides of the maps without classes, in cells")
         check_number("--rounds", self.rounds, whole=True, least=1, most=_MOST_ROUNDS - 1)
         for name in ("maps", "houses", "starts"):
             check_number(f"--{name}", getattr(self, name), whole=True, least=1)
         for side in self.sides:
             check_number("--sides", side, whole=True, least=40, most=300)
-        check_seed(self.seed)
+        check_number("--seed", self.seed, whole=True, least=0, most=2**32 // (2 * _MOST_ROUNDS) - 1)
 
 
 class Tried(NamedTuple):
@@ -101,7 +103,7 @@ class Tried(NamedTuple):
       terms: values of `TERMS` of each candidate.
       cost: its predicted cost-to-go, in cells.
       value: mean logarithm of the actions to each target that could not be reached before.
-      share: share of the targets that could not be reached before: how often a search comes that far.
+      share: share of the targets that could not be reached before: how often a search gets that far.
     """
 
     terms: Float[np.ndarray, "decision tried term"]
@@ -111,13 +113,13 @@ class Tried(NamedTuple):
 
 
 class Searches(NamedTuple):
-    """Searches to start, dealt out to the devices.
+    """Searches to start, distributed over the devices.
 
     Attributes:
       worlds: the world of each, all of one size.
       start: first poses.
       numbers: random numbers for each.
-      total: how many they are.
+      total: number of searches.
     """
 
     worlds: World
@@ -149,7 +151,7 @@ def searches_in(maps: Sequence[UInt8[np.ndarray, "h w"]], starts: int, seed: int
 
 
 def _missing(world: World, state: Any) -> Float[Array, "1"]:
-    """Number of targets that cannot be reached yet: 1 before any goal can; without goals, that of free cells."""
+    """Number of targets that cannot be reached yet: 1 until any goal can; without goals, such free cells."""
     reachable = getattr(state, "reachable", state)
     no_goal_yet = (~bitboard.intersects(reachable, world.goals)).astype(jnp.float32)
     cells = bitboard.count(world.traversable & ~reachable).astype(jnp.float32)
@@ -218,7 +220,7 @@ def values(planner: PlannerLike, searches: Searches) -> Float[np.ndarray, "searc
     """Mean logarithm of a planner's actions to each target, for each search.
 
     Args:
-      planner: the planner; its state has `reachable` cells, or is these.
+      planner: the planner; its state has `reachable` cells, or is the set of these.
       searches: the searches.
     """
     found = _values(planner, searches.worlds, searches.start, limit=_LIMIT * searches.worlds.width)
@@ -238,9 +240,10 @@ def _tried(planner: LearnedScore, worlds: World, start: Pose, numbers: Array, *,
         chosen = planner.choose((belief, *planner.look(belief, state)[1][1:]), state, planner.ask)
         found = chosen.candidates
         count = jnp.sum(found.present, axis=0, dtype=jnp.int32)
-        # Rank of each candidate: the number of those that are better.
-        order = jnp.where(found.present, found.score, jnp.inf)[:, 0]
-        rank = jnp.sum((order[None] < order[:, None]).astype(jnp.int32), axis=1)
+        # Rank of each candidate: the number of those that are better, or as good and before it.
+        order, index = jnp.where(found.present, found.score, jnp.inf)[:, 0], jnp.arange(found.present.shape[0])
+        before = (order[None] < order[:, None]) | ((order[None] == order[:, None]) & (index[None] < index[:, None]))
+        rank = jnp.sum(before.astype(jnp.int32), axis=1)
 
         def of(number: Array) -> tuple[Array, ...]:
             among = jnp.where(number < _GOOD, jnp.minimum(count, _BEST), jnp.maximum(count, 1))
@@ -262,8 +265,8 @@ def _tried(planner: LearnedScore, worlds: World, start: Pose, numbers: Array, *,
 def try_candidates(planner: LearnedScore, searches: Searches) -> Tried:
     """Try candidates at a random decision of each search.
 
-    Each choice is followed until its pose reveals nothing more: a planner that soon chooses anew would tell nothing
-    about distant candidates.
+    Each choice is followed until its pose reveals nothing more. If the planner soon chose again, distant candidates
+    would never be tested.
     """
     side = searches.worlds.width
     planner = dataclasses.replace(planner, replan_fraction=_NEVER)
@@ -276,7 +279,7 @@ def try_candidates(planner: LearnedScore, searches: Searches) -> Tried:
 
 
 def _differences(tried: Tried, values: Float[np.ndarray, "decision tried ..."]) -> Float[np.ndarray, "row ..."]:
-    """Differences from the mean of a decision's candidates, weighted so that all decisions of a part count as one."""
+    """Differences from the mean of a decision's candidates, weighted so that every part counts the same."""
     weight = np.sqrt(tried.share / np.sum(tried.share)).reshape(-1, *(1,) * (values.ndim - 1))
     return ((values - values.mean(axis=1, keepdims=True)) * weight).reshape(-1, *values.shape[2:])
 
@@ -284,15 +287,15 @@ def _differences(tried: Tried, values: Float[np.ndarray, "decision tried ..."]) 
 def fitted(plain: Sequence[Tried], houses: Sequence[Tried]) -> Float[np.ndarray, "term"]:
     """Weights in cells, by least squares on the differences within decisions.
 
-    Decisions on maps without classes tell the weights of the terms, in logarithms of actions; those in houses, what a
-    cell of cost-to-go is worth beside the sum of these.
+    Decisions on maps without classes determine the weights of the terms, in logarithms of actions. Those in houses
+    determine what a cell of cost-to-go is worth relative to the weighted sum.
 
     Args:
       plain: decisions on maps without classes. Each part, such as those on maps of one size, counts the same.
       houses: decisions in houses, likewise.
 
     Raises:
-      InputError: the cost-to-go tells nothing about what searches cost.
+      InputError: the cost-to-go or the weighted sum does not predict what searches in houses cost.
     """
     learned = [number for number in range(len(TERMS)) if number != _KEPT]
     terms = np.concatenate([_differences(part, part.terms[..., learned]) for part in plain])
@@ -316,8 +319,8 @@ class Round(NamedTuple):
 
     Attributes:
       decisions: number of decisions tried.
-      change: change of the mean logarithm of the actions on fresh maps, by the new weights.
-      error: standard error of it.
+      change: change of the mean logarithm of the actions on fresh maps with the new weights.
+      error: its standard error.
       kept: whether the new weights are kept.
       weights: the weights after this round.
     """
@@ -330,7 +333,7 @@ class Round(NamedTuple):
 
 
 def _searches(config: ScoreConfig, seed: int, part: int, share: float = 1.0) -> Searches:
-    """Fresh searches on maps without classes of one of the sizes; or in procedural houses, the last part."""
+    """Fresh searches on maps without classes of one size; in the last part, in procedural houses."""
     if part == len(config.sides):
         houses = drawn_houses("s", "train", max(1, round(share * config.houses)), seed, _HOUSE_CELLS)
         return searches_in([house.terrain for house in houses], config.starts, seed)
@@ -341,7 +344,7 @@ def _searches(config: ScoreConfig, seed: int, part: int, share: float = 1.0) -> 
 def learn_score(
     out: Path, network: NetworkCostToGo, config: ScoreConfig, report: Callable[[str], object] = print
 ) -> list[Round]:
-    """Learn the weights of the score in rounds. Rounds whose files are in the folder are not run again.
+    """Learn the weights of the score in rounds. Those whose files are in the folder are not run again.
 
     Args:
       out: folder for `round-*.json` and the decisions `round-*.npz`.
@@ -374,7 +377,9 @@ def learn_score(
             for part in range(n_parts):
                 searches = _searches(config, seed + 1, part, _JUDGED)
                 changed = dataclasses.replace(planner, weights=jnp.asarray(better))
-                changes.append(values(changed, searches) - values(planner, searches))
+                change_of_each = values(changed, searches) - values(planner, searches)
+                starts = config.starts if part == n_parts - 1 else 1
+                changes.append(change_of_each.reshape(-1, starts).mean(axis=1))  # of each map
             change = float(np.mean([np.mean(part) for part in changes]))
             error = float(np.sqrt(np.sum([np.var(part) / len(part) for part in changes]))) / n_parts
             after = better if change < 0 else weights

@@ -22,6 +22,7 @@ from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.planning.learned_score import TERMS
 from dc2g_jax._src.readers.houses import SPLITS, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.rollouts.evaluation import evaluate
@@ -256,8 +257,8 @@ def train(
 ) -> Trained:
     """Train a cost-to-go network with pairs of partial maps and exact cost-to-go (Algorithm 1), and evaluate it.
 
-    With a `ScoreConfig`, learn instead what exploring costs: the weights of the score by which `dc2g` chooses its
-    subgoals, from rollouts (see `training.score`), for the network of `after`.
+    With a `ScoreConfig`, learn the cost of exploring from rollouts instead (see `training.score`): the weights of the
+    score by which `dc2g` chooses its subgoals, for the network of `after`.
 
     Masks, checkpoints, log, curve and network are written to the folder. A training that stopped goes on from its last
     checkpoint; one that is finished is evaluated only. `dc2g train` is a call of this function; `sweep` trains many.
@@ -272,7 +273,7 @@ def train(
       dataset: houses, a folder of them, or a name such as `procedural`; `None` for the published ones, see
         `open_dataset`.
       config: network, losses and steps. The side of its architecture becomes that of the dataset's maps. Or how to
-        learn the score; of the other arguments, `after`, `split`, `card` and `begin` count then.
+        learn the score; then only `dataset`, `after`, `split`, `card` and `begin` are used.
       data: houses and masks; by default fewer for fewer steps.
       pauses: when to validate, on pairs of validation houses, and to save; by default six times, and every two
         minutes.
@@ -294,7 +295,9 @@ def train(
     keep_compiled_programs()
     out = Path(out)
     if isinstance(config, ScoreConfig):
-        with_score = _score_learned(out, config, after, split, dict(card or {}), begin)
+        if split is not None:
+            dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset)
+        with_score = _score_learned(out, config, after, (dataset, split), dict(card or {}), begin)
         return _evaluated(with_score, dataset, split)
     config = config or TrainingConfig()
     check_number("--episodes-every", episodes_every, whole=True, least=0, hint="steps (0 for none)")
@@ -341,22 +344,25 @@ def _score_learned(
     out: Path,
     config: ScoreConfig,
     after: str | os.PathLike[str] | None,
-    split: str | None,
+    evaluated_in: tuple[Any, str | None],
     card: dict[str, Any],
     begin: Callable[[], object] | None,
 ) -> NetworkCostToGo:
     """A trained network with a score learned for it, saved in the folder `network`."""
     config.check()
+    dataset, split = evaluated_in
     if split is not None:
         check_name("split", split, SPLITS)
+        usable_houses(dataset, split, instead="use another split")
     folder = resource(SHIPPED_NETWORK) if after is None else local_folder(after)
     network, before = network_in_folder(folder), read_object(folder / CARD, "give another network")
     if not isinstance(network, NetworkCostToGo):
         raise InputError(f"{after}: is no cost-to-go network in cells; give one of `dc2g train`")
     if begin is not None:
         begin()
-    keep_config(out, config, {"after": before["sha256"]})
-    last = learn_score(out, network, config)[-1]
-    facts = {"score": last.weights, "score_training": {**dataclasses.asdict(config), **card}}
-    save_network(out / "network", network, {**before, **facts})
-    return network_in_folder(out / "network")
+    keep_config(out, config, {"after": before["sha256"], "terms": TERMS})
+    last, made = learn_score(out, network, config)[-1], out / "network"
+    if not (made / CARD).exists():
+        facts = {"score": last.weights, "score_training": {**dataclasses.asdict(config), **card}}
+        save_network(made, network, {**before, **facts})
+    return network_in_folder(made)

@@ -39,13 +39,13 @@ from dc2g_jax._src.viewer.training_recording import (
 class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
-    With `--target steps`, learn from rollouts what exploring costs: the weights of the score by which `dc2g` chooses
-    its subgoals, for the network of --after. Of the options below it takes --rounds, --maps, --houses, --split and
-    --seed.
+    With `--target steps`, learn the cost of exploring from rollouts instead: the weights of the score by which `dc2g`
+    chooses its subgoals, for the network of --after. Of the other options below, this uses --rounds, --maps, --houses,
+    --split and --seed.
 
     Attributes:
       target: what to learn: the cost_to_go of every cell, or the steps that searches take.
-      rounds: rounds of rollouts and fits, with --target steps; each is kept only if it is better on fresh maps.
+      rounds: rounds of rollouts and fits, with --target steps; new weights are kept only if better on fresh maps.
       maps: maps without classes in a round, of each of two sizes; one decision in each.
       houses: procedural houses in a round.
       after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
