@@ -21,6 +21,7 @@ from dc2g_jax._src.planning.planners import (
     choice_is_due,
     explore_or_finish,
     observed_terrain,
+    preferred_poses,
     reachable_cells,
 )
 from dc2g_jax._src.planning.rules import Rules
@@ -70,9 +71,7 @@ class Chosen(NamedTuple):
 
 def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
     """The frontier-expanding poses that reveal something when reached; without any, all poses that do."""
-    revealing = frontiers.complete(belief, reachable, rules.sensing)
-    preferred = rules.frontier_expanding(belief, reachable) & revealing
-    return jnp.where(poses.is_empty(preferred), revealing, preferred)
+    return preferred_poses(belief, reachable, frontiers.complete(belief, reachable, rules.sensing), rules)
 
 
 def unknown_share(belief: Belief, radius: int) -> Float[Array, "h w *batch"]:

@@ -32,9 +32,10 @@ from dc2g_jax._src.planning.planners import (
     observed_terrain,
     reachable_cells,
     summarized,
+    with_summary,
 )
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.planning.selection import mean_outcome
+from dc2g_jax._src.planning.selection import mean_of, mean_outcome
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import apart
 
@@ -50,8 +51,8 @@ AREA_TERMS = ("unseen_8", "unseen_16", "unseen_32", "free_ahead", "frontier", "s
 #: All terms but the cost-to-go, whose weight is 1.
 TERMS = (*POSE_TERMS, *AREA_TERMS)
 
-#: Terms of the path to a candidate; the others tell what it reveals.
-_WAY = tuple(TERMS.index(term) for term in ("actions", "log_actions", "straight_ahead", "winding"))
+#: Terms that tell what a candidate reveals; the others are of the path to it.
+_REVEALS = np.flatnonzero(~np.isin(TERMS, ("actions", "log_actions", "straight_ahead", "winding")))
 
 #: Distance ahead and radius, in cells, of the squares of the area terms: unobserved, free and frontier cells.
 _UNSEEN, _FREE, _FRONTIER = ((0, 8), (0, 16), (0, 32)), (6, 4), (0, 3)
@@ -268,9 +269,7 @@ class LearnedScore(Planner):
         """This planner for a single robot with a new state at every step, on maps of any size."""
         if self.estimator is None:
             return self
-        estimator, summary = padded(self.estimator), self.summary
-        if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
-            estimator, summary = estimator.summarized(summary), mean_outcome
+        estimator, summary = with_summary(padded(self.estimator), self.summary)
         return dataclasses.replace(self, estimator=BothViews(estimator), summary=summary)
 
     def init(self, world: World) -> ScoredChoice:
@@ -359,8 +358,7 @@ class LearnedScore(Planner):
             latest = jnp.where(known, merged, estimates[0])
             # The first estimate stands for both views.
             estimates = latest, jnp.where(known & knew, estimates[0], latest)
-        cost = (estimates[0][0] + estimates[1][0]) / 2
-        found = self.candidates(belief, reachable, revealing, state.subgoal, cost)
+        found = self.candidates(belief, reachable, revealing, state.subgoal, mean_of(estimates)[0])
         valid = jnp.all(~found.present | (found.score == found.score), axis=0)
         order = jnp.where(found.present, _as_integers(found.score), jnp.iinfo(jnp.int32).max)
         best = jnp.argmin(order, axis=0).astype(jnp.int32)[None]
@@ -374,14 +372,11 @@ class LearnedScore(Planner):
         _, (due, reachable, revealing) = looked
         state = update_where(functools.partial(self.choose, ask=ask), due, (belief, reachable, revealing), state)
         plan = explore_or_finish(belief, reachable, state.subgoal & revealing, self.rules)
-        reveals = [number for number in range(len(TERMS)) if number not in _WAY]
-        penalty = _weighted([self.weights[number] for number in reveals], state.candidates.terms[np.array(reveals)])
+        penalty = _weighted(self.weights[_REVEALS], state.candidates.terms[_REVEALS])
         candidates, score, penalty = _on_map(belief, state.candidates, penalty)
-        cost = (state.estimates[0][0] + state.estimates[1][0]) / 2
-        predicts = self.estimator is not None
-        assessment = Assessment(
-            plan, reachable, candidates & revealing, score, cost if predicts else None, penalty if predicts else None
-        )
+        assessment = Assessment(plan, reachable, candidates & revealing, score)
+        if self.estimator is not None:
+            assessment = dataclasses.replace(assessment, cost_to_go=mean_of(state.estimates)[0], penalty=penalty)
         return assessment, state._replace(reachable=reachable)
 
     def revised(self, state: ScoredChoice, changed: Board) -> ScoredChoice:

@@ -28,7 +28,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.nearby import Decided, nearby
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.planning.selection import ExpectedCost, Selection, mean_of
+from dc2g_jax._src.planning.selection import ExpectedCost, Selection, mean_of, mean_outcome
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import apart
 
@@ -324,6 +324,12 @@ class Frontier(Planner):
         return jnp.zeros_like(state)
 
 
+def preferred_poses(belief: Belief, reachable: Board, revealing: PoseSet, rules: Rules) -> PoseSet:
+    """The frontier-expanding poses of those that reveal something; without any, all that do."""
+    preferred = rules.frontier_expanding(belief, reachable) & revealing
+    return jnp.where(poses.is_empty(preferred), revealing, preferred)
+
+
 def choice_is_due(
     belief: Belief,
     reachable: Board,
@@ -350,6 +356,13 @@ def choice_is_due(
     return undecided & ((news >= enough) | poses.is_empty(subgoals & revealing))
 
 
+def with_summary(estimator: Estimator, summary: Callable[[Array], Array]) -> tuple[Estimator, Callable[[Array], Array]]:
+    """The estimator that computes the summary itself, if there is one, and what is left to summarize of its answer."""
+    if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
+        return estimator.summarized(summary), mean_outcome  # of one outcome
+    return estimator, summary
+
+
 def summarized(
     estimator: Estimator, summary: Callable[[Array], Array], terrain: UInt8[Array, "h w *batch"], state: Any
 ) -> Estimates:
@@ -364,9 +377,7 @@ def summarized(
     Raises:
       InputError: the estimate does not have the shape `[outcomes, *shape of the map]`.
     """
-    asked = estimator
-    if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
-        asked, summary = estimator.summarized(summary), lambda costs: costs
+    asked, summary = with_summary(estimator, summary)
     costs = asked.estimate(terrain, state)
     if costs.shape[1:] != terrain.shape:
         raise InputError(
@@ -414,8 +425,7 @@ class DC2G(Planner):
         self, belief: Belief, reachable: Board, revealing: PoseSet, estimate: Estimates
     ) -> tuple[PoseSet, Float[Array, "h w *batch"]]:
         """The candidates, and the score of each cell with one (Algorithm 2, lines 6 to 10)."""
-        preferred = self.rules.frontier_expanding(belief, reachable) & revealing
-        candidates, lengths = jnp.where(poses.is_empty(preferred), revealing, preferred), jnp.int32(0)
+        candidates, lengths = preferred_poses(belief, reachable, revealing, self.rules), jnp.int32(0)
         if self.selection.distance_weight:
             candidates, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
         return candidates, self.selection(estimate, lengths)

@@ -341,6 +341,19 @@ def _searches(config: ScoreConfig, seed: int, part: int, share: float = 1.0) -> 
     return searches_in(plugins("training_maps")["plain"].load()(count, seed, config.sides[part]), 1, seed)
 
 
+def _compared(
+    planner: LearnedScore, weights: Float[np.ndarray, "term"], config: ScoreConfig, seed: int
+) -> tuple[float, float]:
+    """Change of the mean logarithm of the actions on fresh maps by other weights, and its standard error over maps."""
+    changed, changes = dataclasses.replace(planner, weights=jnp.asarray(weights)), []
+    for part in range(len(config.sides) + 1):
+        searches = _searches(config, seed, part, _JUDGED)
+        starts = config.starts if part == len(config.sides) else 1
+        changes.append((values(changed, searches) - values(planner, searches)).reshape(-1, starts).mean(axis=1))
+    error = np.sqrt(np.sum([np.var(part) / len(part) for part in changes])) / len(changes)
+    return float(np.mean([np.mean(part) for part in changes])), float(error)
+
+
 def learn_score(
     out: Path, network: NetworkCostToGo, config: ScoreConfig, report: Callable[[str], object] = print
 ) -> list[Round]:
@@ -373,15 +386,7 @@ def learn_score(
         done = out / f"round-{number}.json"
         if not done.exists():
             better = fitted([one for part in tried[:-1] for one in part], tried[-1])
-            changes = []
-            for part in range(n_parts):
-                searches = _searches(config, seed + 1, part, _JUDGED)
-                changed = dataclasses.replace(planner, weights=jnp.asarray(better))
-                change_of_each = values(changed, searches) - values(planner, searches)
-                starts = config.starts if part == n_parts - 1 else 1
-                changes.append(change_of_each.reshape(-1, starts).mean(axis=1))  # of each map
-            change = float(np.mean([np.mean(part) for part in changes]))
-            error = float(np.sqrt(np.sum([np.var(part) / len(part) for part in changes]))) / n_parts
+            change, error = _compared(planner, better, config, seed + 1)
             after = better if change < 0 else weights
             named = dict(zip(TERMS, map(float, after), strict=True))
             write_json(done, Round(sum(len(p[-1].value) for p in tried), change, error, change < 0, named)._asdict())

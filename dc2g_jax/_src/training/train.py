@@ -126,7 +126,7 @@ def checked(
     pauses.check_pauses()
     check_tracker(track)
     if split is not None:
-        check_name("split", split, ("train", "val", "test"))
+        check_name("split", split, SPLITS)
     names = dict.fromkeys(name for config in runs.values() for name, _ in config.losses)
     losses = {name: (own_losses or {}).get(name) or named_loss(name) for name in names}
     if not isinstance(dataset, HouseDataset):
@@ -295,10 +295,12 @@ def train(
     keep_compiled_programs()
     out = Path(out)
     if isinstance(config, ScoreConfig):
+        config.check()
         if split is not None:
+            check_name("split", split, SPLITS)
             dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset)
-        with_score = _score_learned(out, config, after, (dataset, split), dict(card or {}), begin)
-        return _evaluated(with_score, dataset, split)
+            usable_houses(dataset, split, instead="use another split")
+        return _evaluated(_score_learned(out, config, after, dict(card or {}), begin), dataset, split)
     config = config or TrainingConfig()
     check_number("--episodes-every", episodes_every, whole=True, least=0, hint="steps (0 for none)")
     validates = pauses.steps_between(config.steps) > 0
@@ -344,16 +346,10 @@ def _score_learned(
     out: Path,
     config: ScoreConfig,
     after: str | os.PathLike[str] | None,
-    evaluated_in: tuple[Any, str | None],
     card: dict[str, Any],
     begin: Callable[[], object] | None,
 ) -> NetworkCostToGo:
     """A trained network with a score learned for it, saved in the folder `network`."""
-    config.check()
-    dataset, split = evaluated_in
-    if split is not None:
-        check_name("split", split, SPLITS)
-        usable_houses(dataset, split, instead="use another split")
     folder = resource(SHIPPED_NETWORK) if after is None else local_folder(after)
     network, before = network_in_folder(folder), read_object(folder / CARD, "give another network")
     if not isinstance(network, NetworkCostToGo):
