@@ -102,7 +102,9 @@ def disturbed(command: list[object], out: Path, progress: Callable[[], int], kil
             assert "JAX distributed service detected fatal errors" in errors
             continue
         assert processes[1 - victim].returncode == 1
-        assert errors.replace("\r", "\n").splitlines()[-1].startswith(f"error: process {1 - victim} lost the others")
+        # JAX's own threads may write after it.
+        lines = errors.replace("\r", "\n").splitlines()
+        assert sum(line.startswith(f"error: process {1 - victim} lost the others") for line in lines) == 1
     finish(started(command, 2, resume=True))
 
 
