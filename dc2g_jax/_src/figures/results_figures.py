@@ -49,7 +49,7 @@ PLANNER_STYLES = {
     "authors_frontier": PlannerStyle("Frontier, authors' code", "#f5c99b", hatch="///"),
     "frontier": PlannerStyle("Frontier", "#d55e00", marker="s"),
     "authors_dc2g": PlannerStyle("DC2G, authors' network", "#a9d3ee", hatch="///"),
-    "dc2g_paper": PlannerStyle("DC2G, Algorithm 2 alone", "#f0e442", hatch="\\\\\\", marker="v"),
+    "dc2g_paper": PlannerStyle("DC2G, Algorithm 2", "#f0e442", hatch="\\\\\\", marker="v"),
     "dc2g": PlannerStyle("DC2G", "#0072b2"),
     "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", hatch="...", marker="D"),
     "dc2g_bounded": PlannerStyle("DC2G, bounded", "#56b4e9", hatch="---", marker="p"),

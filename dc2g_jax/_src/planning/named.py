@@ -63,7 +63,7 @@ _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], Planner]] = {
 
 #: Planners with a network, called with the network and the rules.
 NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], Any]] = {
-    # Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance.
+    # Algorithm 2: the lowest mean cost-to-go wins, whatever the distance.
     "dc2g_paper": DC2G,
     "dc2g": functools.partial(_on_network, mean_outcome),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.0).summary),
