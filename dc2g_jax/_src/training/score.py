@@ -256,7 +256,7 @@ def _tried(planner: LearnedScore, worlds: World, start: Pose, numbers: Array, *,
 
         terms, cost, value = jax.lax.map(of, jnp.arange(_TRIED))
         targets = jnp.maximum(_missing(world, jnp.zeros_like(world.goals)), 1)
-        share = _missing(world, state) / targets
+        share = _missing(world, chosen) / targets
         return terms, cost, value, share[0], (~gave_up & (count > 1) & (share > 0))[0]
 
     return _on_each_search(tried, planner, (worlds, start, numbers))
