@@ -13,7 +13,9 @@ from dc2g_jax.indoor.search.agent import (
     DECLARED,
     LIMITS,
     Agent,
+    Guidance,
     Searcher,
+    arrives,
     look_around_first,
     random_until_seen,
     with_mpc,
@@ -96,6 +98,24 @@ def test_a_robot_with_true_costs_reaches_the_object(journey, site):
     off = np.maximum(np.abs(track[steps, :2] - (4.85, -2.85)) - 0.2, 0)
     assert np.hypot(*off) < 1.0
     np.testing.assert_array_equal(np.diff(track[steps + 1 :], axis=0), 0)
+
+
+def test_a_margin_ends_the_path_nearer_or_where_it_can_go_no_further():
+    agent = agent_with(margin=0.25)
+    robot = robot_at(2.0, -2.0)
+    distance = jnp.full_like(robot.costs, jnp.inf)
+    middle = robot.costs.shape[0] // 2
+
+    def arrived(here, beside, to_goal=True):
+        costs = distance.at[middle, middle].set(here).at[middle, middle + 1].set(beside)
+        guided = dataclasses.replace(robot, guidance=Guidance(costs, jnp.bool_(to_goal)))
+        return bool(arrives(guided, robot.vehicle.position, agent))
+
+    assert arrived(0.2, 0.1)
+    assert not arrived(0.3, 0.2)
+    assert arrived(0.4, 0.5)
+    assert not arrived(0.46, 0.5)
+    assert not arrived(0.1, 0.2, to_goal=False)
 
 
 def test_speeds_in_the_track_move_the_robot(journey):

@@ -7,7 +7,7 @@ import pytest
 
 from dc2g_jax.indoor.houses.worlds import scene
 from dc2g_jax.indoor.maps import mapping
-from dc2g_jax.indoor.maps.classes import BED
+from dc2g_jax.indoor.maps.classes import BED, PLANT
 from dc2g_jax.indoor.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax.robot.mapping.camera import intrinsics, level_camera, points
 from dc2g_jax.robot.mapping.simulator import render
@@ -90,6 +90,31 @@ def test_what_the_floor_shows_to_be_wrong_is_forgotten(view):
     assert jax.tree.map(lambda leaf: (leaf.dtype, leaf.weak_type), after) == jax.tree.map(
         lambda leaf: (leaf.dtype, leaf.weak_type), mapping.empty_map(START, SETTINGS)
     )
+
+
+def test_frames_vote_on_what_stands_in_a_cell(view):
+    frame, exact, _ = view
+    settings = IndoorMapSettings(cells=90, local=30, cell_size=0.1, reach=4.0, votes=2)
+    integrate = jax.jit(lambda before, frame: mapping.integrate(before, frame, CAMERA, settings))
+    wrong = frame.replace(classes=jnp.where(frame.classes == BED, PLANT, frame.classes).astype(jnp.uint8))
+    seen, votes = mapping.empty_map(START, settings), {BED: 0, PLANT: 0}
+    bed = np.asarray(mapping.has(exact.cells, BED - 1)) & np.asarray(mapping.has(exact.cells, OBSTACLE_CHANNEL))
+    for errs in (True, False, True, False, False, True, False, True, True, True, True):
+        seen = integrate(seen, wrong if errs else frame)
+        for kind, shown in ((BED, not errs), (PLANT, errs)):
+            votes[kind] = min(votes[kind] + 1, 3) if shown else max(votes[kind] - 1, 0)
+            found = np.asarray(mapping.has(seen.cells, kind - 1))
+            # Cells that are mostly of another class have no votes at all.
+            assert (found & bed).sum() >= (votes[kind] >= 2) * 0.8 * bed.sum()
+            assert votes[kind] >= 2 or not found[bed].any()
+    assert votes == {BED: 0, PLANT: 3}
+    # A few wrong pixels among the many of a near cell do not vote.
+    few = wrong.classes.at[::7, ::7].get()
+    speckled = frame.replace(classes=frame.classes.at[::7, ::7].set(few))
+    near = mapping.empty_map(START, settings)
+    for _ in range(3):
+        near = integrate(near, speckled)
+    assert np.asarray(mapping.has(near.cells, PLANT - 1)).sum() < 0.1 * bed.sum()
 
 
 def test_a_robot_knows_the_floor_it_stands_on():

@@ -103,6 +103,7 @@ def distance_to_object(
     *,
     radius: float,
     cell_size: float,
+    margin: float = 0.0,
 ) -> Float[Array, "h w"]:
     """Distance that the center of a round robot has to drive until an object is at arm's length (equation 7).
 
@@ -115,12 +116,13 @@ def distance_to_object(
       goals: cells of the object.
       radius: radius of the robot, meters.
       cell_size: edge of a cell, meters.
+      margin: by how much nearer than `ARM` the path ends, meters.
 
     Returns:
       float32 meters; infinity where the robot does not fit and where no path leads to the object.
     """
     passable = ~inflated(obstacles, radius, cell_size)
-    lacking = jnp.maximum(straight_distance(goals, walls, cell_size, ARM + STOP) - ARM, 0)
+    lacking = jnp.maximum(straight_distance(goals, walls, cell_size, ARM + STOP) - (ARM - margin), 0)
     cost_of_cell = jnp.where(passable, jnp.float32(cell_size), jnp.inf)
     return travel_cost(cost_of_cell, jnp.where(passable, lacking, jnp.inf))
 

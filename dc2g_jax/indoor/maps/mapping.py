@@ -7,6 +7,8 @@ of its points lies at a height where the robot could hit it, and is explored onc
 in view. These 18 binary channels are stored as bits of one integer per cell and unpacked on demand: 0.7 MB for
 420 x 420 cells, instead of 12.7 MB for 18 channels of floats.
 
+If labels err, frames vote: a cell then has the classes that recent frames agree on (`IndoorMapSettings.votes`).
+
 The cells of the map are those of the world's grid (`houses.worlds`). The robot starts in the middle of the
 map. The map does not rotate with the robot. All functions take one robot; use `jax.vmap` for batches.
 """
@@ -17,6 +19,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
@@ -27,13 +30,15 @@ from dc2g_jax.robot import Frame, Intrinsics, cell_at, check_shapes, points, ray
 #: Channels of a map: the classes (class index 1 + channel), then obstacles, then explored cells.
 OBSTACLE_CHANNEL, EXPLORED_CHANNEL = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
 MAP_CHANNELS = SEMANTIC_CLASSES + 2
+#: All classes of a cell.
+_CLASSES = np.uint32((1 << SEMANTIC_CLASSES) - 1)
 #: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
 FOOTROOM = 0.6
+#: Bits of the votes for a class in a cell, at most 3; a frame votes for classes of this share of a cell's points.
+_VOTE_BITS, _LEAST_SHARE = 2, 0.2
 
-if MAP_CHANNELS > 32:
-    raise ValueError(
-        f"{SEMANTIC_CLASSES} indoor classes: a cell of the map has 32 bits, so merge some, 30 are possible"
-    )
+if _VOTE_BITS * SEMANTIC_CLASSES > 32:
+    raise ValueError(f"{SEMANTIC_CLASSES} indoor classes: the votes of a cell have 32 bits, so merge some to 16")
 
 
 @struct.dataclass
@@ -43,12 +48,15 @@ class IndoorMapSettings:
     Attributes:
       cells: cells along each side of the map. The paper has 420.
       local: cells along each side of the local map around the robot, a divisor of `cells`. The paper has 140.
-      cell_size: edge of a cell, meters. The paper's maps have cells of 5 cm and are 21 m wide. ProcTHOR's largest
-        houses are 28 m long, so the default here is 10 cm, and the map is 42 m wide.
+      cell_size: edge of a cell, meters. The paper does not give it. ProcTHOR's largest houses are 28 m long, so the
+        default here is 10 cm, and the map is 42 m wide.
       reach: returns farther from the camera than this are skipped, meters.
       lowest: points lower than this above the floor are no obstacles, meters.
       highest: points higher than this, the height of the robot, are no obstacles, meters.
       inset: a return nearer than this to the cell behind it counts for that cell, meters.
+      votes: 1 if a single point gives its class to a cell, for labels without errors. 2 or 3 for a vote of the frames
+        that show a cell: each that shows the class adds one vote, up to 3, each other takes one away, and so many votes
+        are needed.
     """
 
     cells: int = struct.field(pytree_node=False, default=420)
@@ -58,6 +66,7 @@ class IndoorMapSettings:
     lowest: float = struct.field(pytree_node=False, default=0.1)
     highest: float = struct.field(pytree_node=False, default=1.5)
     inset: float = struct.field(pytree_node=False, default=0.001)
+    votes: int = struct.field(pytree_node=False, default=1)
 
     @property
     def window(self) -> int:
@@ -72,16 +81,19 @@ class IndoorMap:
     Attributes:
       cells: the channels of each cell, one bit per channel, channel 0 in the lowest bit.
       origin: row and column of the first cell in the world's grid; they may be negative.
+      votes: votes for each class, two bits per class; `None` without votes.
     """
 
     cells: UInt32[Array, "h w"]
     origin: Int[Array, "2"]
+    votes: UInt32[Array, "h w"] | None = None
 
 
 def empty_map(position: Float[Array, "2"], settings: IndoorMapSettings) -> IndoorMap:
     """A map without observations, centered on the robot's start (x and y, meters)."""
     origin = grid_cell(position, settings.cell_size) - settings.cells // 2
-    return IndoorMap(cells=jnp.zeros((settings.cells, settings.cells), jnp.uint32), origin=origin)
+    empty = jnp.zeros((settings.cells, settings.cells), jnp.uint32)
+    return IndoorMap(empty, origin, empty if settings.votes > 1 else None)
 
 
 def grid_cell(position: Float[Array, "2"], cell_size: float) -> Int[Array, "2"]:
@@ -96,7 +108,7 @@ def has(cells: UInt32[Array, "h w"], channel: ArrayLike) -> Bool[Array, "h w"]:
 
 def has_any_class(cells: UInt32[Array, "h w"]) -> Bool[Array, "h w"]:
     """Cells in which any class has been seen. Obstacles without class are walls."""
-    return cells & jnp.uint32((1 << SEMANTIC_CLASSES) - 1) > 0
+    return cells & _CLASSES > 0
 
 
 def with_frame(
@@ -123,10 +135,35 @@ def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, setti
     usable = (frame.depth > 0) & (frame.depth * lengths <= settings.reach)
     found = _found(frame, intrinsics, usable, corner + indoor_map.origin, settings)
     floor = _floor_in_view(frame, intrinsics, usable, corner + indoor_map.origin, settings)
+    cleared = floor & ~has(found, OBSTACLE_CHANNEL)
     before = jax.lax.dynamic_slice(indoor_map.cells, corner, (side, side))
-    kept = jnp.where(floor & ~has(found, OBSTACLE_CHANNEL), jnp.uint32(0), before)
-    after = kept | found | (floor.astype(jnp.uint32) << EXPLORED_CHANNEL)
-    return dataclasses.replace(indoor_map, cells=jax.lax.dynamic_update_slice(indoor_map.cells, after, corner))
+    after = jnp.where(cleared, 0, before) | found | (floor.astype(jnp.uint32) << EXPLORED_CHANNEL)
+    votes = indoor_map.votes
+    if votes is not None:
+        own = _voted(jax.lax.dynamic_slice(votes, corner, (side, side)), found, cleared)
+        votes = jax.lax.dynamic_update_slice(votes, _packed(own, _VOTE_BITS), corner)
+        after = after & ~_CLASSES | _packed(own >= settings.votes, 1)
+    return dataclasses.replace(
+        indoor_map, cells=jax.lax.dynamic_update_slice(indoor_map.cells, after, corner), votes=votes
+    )
+
+
+def _voted(
+    votes: UInt32[Array, "n n"], found: UInt32[Array, "n n"], cleared: Bool[Array, "n n"]
+) -> UInt32[Array, "class n n"]:
+    """The votes for each class after a frame that shows these channels."""
+    number = jnp.arange(SEMANTIC_CLASSES, dtype=jnp.uint32)[:, None, None]
+    most = 2**_VOTE_BITS - 1
+    before = (votes >> (_VOTE_BITS * number)) & most
+    fewer = jnp.where(has(found, EXPLORED_CHANNEL), jnp.maximum(before, 1) - 1, before)
+    after = jnp.where((found >> number) & 1 == 1, jnp.minimum(before + 1, most), fewer)
+    return jnp.where(cleared, 0, after)
+
+
+def _packed(values: Shaped[Array, "class n n"], bits: int) -> UInt32[Array, "n n"]:
+    """Values of so many bits for each class in one integer."""
+    shifted = (own.astype(jnp.uint32) << bits * number for number, own in enumerate(values))
+    return functools.reduce(jnp.bitwise_or, shifted)
 
 
 def _found(
@@ -141,13 +178,15 @@ def _found(
     inside = usable & (row >= 0) & (row < side) & (column >= 0) & (column < side)
     hits = (z > settings.lowest) & (z < settings.highest)
     label = jnp.where(frame.classes <= SEMANTIC_CLASSES, frame.classes, 0).astype(jnp.int32)
-    # One scatter of single bytes: whether a cell has a point of this class, apart for those that would be hit.
+    # One scatter: how many points of this class a cell has, apart for those that would be hit.
     kinds = (2, SEMANTIC_CLASSES + 1, side, side)
     place = jnp.ravel_multi_index((hits.astype(jnp.int32), label, row, column), kinds, mode="clip")
-    found = jnp.zeros(math.prod(kinds), bool).at[jnp.where(inside, place, math.prod(kinds))].set(True, mode="drop")
-    found = found.reshape(kinds)
-    classes, obstacle = jnp.any(found, axis=0), jnp.any(found[1], axis=0)
-    bits = enumerate([*classes[1:], obstacle, jnp.any(classes, axis=0)])
+    counts = jnp.zeros(math.prod(kinds), jnp.uint16).at[jnp.where(inside, place, math.prod(kinds))].add(1, mode="drop")
+    counts = counts.reshape(kinds)
+    of_class, obstacle = counts[0] + counts[1], jnp.any(counts[1] > 0, axis=0)
+    total = jnp.sum(of_class, axis=0, dtype=jnp.uint16)
+    classes = of_class > (_LEAST_SHARE if settings.votes > 1 else 0) * total
+    bits = enumerate([*classes[1:], obstacle, total > 0])
     return functools.reduce(jnp.bitwise_or, (cells.astype(jnp.uint32) << number for number, cells in bits))
 
 

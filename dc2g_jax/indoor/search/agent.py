@@ -98,6 +98,7 @@ class Agent:
       controller: settings of the controller, with the limits of the vehicle.
       noise: noise of a simulated camera and pose.
       renewal: control periods between two camera frames, and between two sets of costs.
+      margin: by how much nearer than `maps.cost_maps.ARM` the path to an object ends, for poses that err, meters.
     """
 
     guide: Guide = struct.field(pytree_node=False)
@@ -109,6 +110,7 @@ class Agent:
     controller: MPPISettings = CONTROLLER
     noise: NoiseLevels = NoiseLevels()
     renewal: int = struct.field(pytree_node=False, default=5)
+    margin: float = struct.field(pytree_node=False, default=0.0)
 
 
 @struct.dataclass
@@ -235,15 +237,25 @@ def steer(robot: _Robot, agent: Agent) -> tuple[_Robot, Float[Array, "2"]]:
     return dataclasses.replace(robot, key=key, controls=shifted_controls(plan), periods=robot.periods + 1), plan[0]
 
 
+def _costs_around(robot: Searcher, position: Float[Array, "2"], agent: Agent, side: int) -> Float[Array, "side side"]:
+    cell = grid_cell(position, agent.mapping.cell_size) - robot.local_middle + agent.mapping.local // 2
+    return square(robot.guidance.distance, cell - side // 2, side, jnp.inf)
+
+
 def cost_at(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Float[Array, ""]:
     """The guide's last cost at a position (x and y, meters); infinite off the local map."""
-    cell = grid_cell(position, agent.mapping.cell_size) - robot.local_middle + agent.mapping.local // 2
-    return square(robot.guidance.distance, cell, 1, jnp.inf)[0, 0]
+    return _costs_around(robot, position, agent, 1)[0, 0]
 
 
 def arrives(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Bool[Array, ""]:
-    """Whether the robot has reached the object at a position (x and y, meters)."""
-    return robot.guidance.to_goal & (cost_at(robot, position, agent) <= STOP)
+    """Whether the robot has reached the object at a position (x and y, meters).
+
+    With a margin, a robot that can come no nearer has reached it, too.
+    """
+    near = _costs_around(robot, position, agent, 3)
+    here = near[1, 1]
+    enough = (here <= STOP) | (here <= STOP + agent.margin) & (here <= jnp.min(near))
+    return robot.guidance.to_goal & enough
 
 
 def _filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:

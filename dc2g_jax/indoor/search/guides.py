@@ -23,6 +23,7 @@ from dc2g_jax.indoor.maps.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.indoor.maps.mapping import (
     EXPLORED_CHANNEL,
     OBSTACLE_CHANNEL,
+    IndoorMapSettings,
     has,
     has_any_class,
     network_maps,
@@ -46,6 +47,9 @@ from dc2g_jax.runtime import InputError, check_name, jit
 
 #: Weight of the predicted cost relative to the distance over seen floor.
 _WEIGHT = 2.0
+
+#: With noise: votes that a class needs, and how much nearer robots drive to objects, meters.
+_VOTES, _MARGIN = 2, 0.25
 
 #: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands
 #: on a cell in which it does not fit.
@@ -129,7 +133,9 @@ def until_seen(explorer: Guide) -> Guide:
         def to_goals() -> Float[Array, "n n"]:
             radius, cell_size = agent.controller.limits.radius, agent.mapping.cell_size
             walls = obstacles & ~has_any_class(cells)
-            return distance_to_object(obstacles | goals, walls, goals, radius=radius, cell_size=cell_size)
+            return distance_to_object(
+                obstacles | goals, walls, goals, radius=radius, cell_size=cell_size, margin=agent.margin
+            )
 
         distance = jax.lax.cond(jnp.any(goals), to_goals, lambda: jnp.full(goals.shape, jnp.inf, jnp.float32))
         return jax.lax.cond(
@@ -236,5 +242,7 @@ def agent_with(
         camera=indoor_camera(),
         estimator=network,
         controller=dataclasses.replace(CONTROLLER, samples=samples),
+        mapping=IndoorMapSettings(votes=_VOTES if noise else 1),
         noise=scaled(PAPER_LIKE, np.float32(noise)),
+        margin=_MARGIN if noise else 0.0,
     )
