@@ -225,7 +225,8 @@ def agent_with(
       network: network of agents that use one, or its place, see `learning.networks.load_costs`; `None` for the shipped
         one.
       samples: plans that the controller samples at each step.
-      noise: noise level; 0 is no noise, 1 the presumed noise of the DC2G paper's maps.
+      noise: noise level; 0 is no noise, 1 the presumed noise of the DC2G paper's maps. With noise, frames vote on the
+        classes of a cell, and the path to an object ends somewhat nearer to it.
 
     Raises:
       InputError: the name is unknown, or the network cannot be read.
