@@ -152,6 +152,7 @@ class Page:
         planners = ui.select(offered, label="Planners", value=state.planners, multiple=True).props("use-chips")
         planners.classes("w-full").on_value_change(lambda event: self._set("planners", list(event.value)))
         self._slider("sensing_range", "Sensing range in cells", 1, 20, 1)
+        self._slider("field_of_view", "Field of view in degrees", 30, 360, 15)
         ui.label("DC2G: score = predicted cost-to-go + way there - what it reveals").classes("text-xs text-grey-8 mt-2")
         self._slider("distance_weight", "Weight of distance", 0, 2, 0.01)
         self._slider("gain_weight", "Weight of information gain", 0, 20, 0.1)
@@ -282,7 +283,7 @@ class Page:
             image.set_source(
                 cost_picture(walk, terrain, snapshot) if self.heat.value else map_picture(terrain, snapshot.seen)
             )
-            image.set_content(walk_marks(walk, terrain, at, self.state.sensing_range))
+            image.set_content(walk_marks(walk, terrain, at, self.state.sensing_range, self.state.field_of_view))
             progress.text, why.text = walk.summary(at), snapshot.decision.why
             image.props["aria-label"] = f"Map of {planner_style(name).label}, {progress.text}"
         self.legend.content = self._legend()

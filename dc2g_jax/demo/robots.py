@@ -150,6 +150,7 @@ class Demo:
       terrain: the map; it may be changed.
       start: first pose of the robots.
       sensing_range: range of the field of view in cells.
+      field_of_view: its width in degrees.
       distance_weight: weight of an action on the path to a subgoal, for `dc2g` and its variants that use the network.
       gain_weight: weight of the information gain, for the same planners; it lowers the score.
       walks: the episodes by planner.
@@ -157,7 +158,8 @@ class Demo:
 
     def __init__(self, maps: dict[str, UInt8[np.ndarray, "h w"]], planners: Sequence[str], estimator: Estimator):
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
-        self.sensing_range = planning.SETTINGS["paper"].sensing_range
+        usual_settings = planning.SETTINGS["paper"]
+        self.sensing_range, self.field_of_view = usual_settings.sensing_range, usual_settings.field_of_view
         usual = _unbounded(planning.planner_with("dc2g", self._rules, estimator))
         actions, gain = map(float, usual.weights[_WEIGHTED] if isinstance(usual, planning.LearnedScore) else (0, 0))
         self.distance_weight, self.gain_weight = actions, -gain
@@ -167,7 +169,7 @@ class Demo:
 
     @property
     def _rules(self) -> planning.Rules:
-        return planning.SETTINGS["paper"].rules(self.sensing_range)
+        return planning.complete_rules(self.sensing_range, degrees=self.field_of_view)
 
     def choose(self, name: str) -> None:
         """Choose a map by name, and a start on it."""
@@ -349,12 +351,14 @@ def start_marks(terrain: UInt8[np.ndarray, "h w"], start: planning.RobotPose) ->
     return _doors(terrain, start, size) + _mark(_TRIANGLE, start, 1.2 * size, inspection.ROBOT_COLOR, start.heading)
 
 
-def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensing_range: int) -> str:
+def walk_marks(
+    walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensing_range: int, degrees: float = 90
+) -> str:
     """SVG of a snapshot: field of view, candidates, path so far and planned, subgoal, doors and robot."""
     size = max(terrain.shape) / _USUAL_SIDE
     snapshot = walk.snapshots[steps]
     decision, pose = snapshot.decision, snapshot.pose
-    parts = [_field_of_view(pose, sensing_range), _doors(terrain, pose, size)]
+    parts = [_field_of_view(pose, sensing_range, degrees), _doors(terrain, pose, size)]
     so_far = [past.pose for past in walk.snapshots[: steps + 1]]
     parts += [_line(so_far, inspection.MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
     parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, inspection.SUBGOAL_COLOR, 0.45 * size)]
@@ -394,10 +398,12 @@ def _line(poses: Sequence[planning.RobotPose], color: str, width: float) -> str:
     )
 
 
-def _field_of_view(pose: planning.RobotPose, sensing_range: int) -> str:
-    reach = sensing_range + 0.5
-    edge = reach * np.sqrt(0.5)
-    outline = f"M0 0L{edge:.2f} {-edge:.2f}A{reach} {reach} 0 0 1 {edge:.2f} {edge:.2f}Z"
+def _field_of_view(pose: planning.RobotPose, sensing_range: int, degrees: float) -> str:
+    reach, half = sensing_range + 0.5, np.radians(degrees / 2)
+    ahead, aside = reach * np.cos(half), reach * np.sin(half)
+    outline = f"M0 0L{ahead:.2f} {-aside:.2f}A{reach} {reach} 0 {degrees > 180:d} 1 {ahead:.2f} {aside:.2f}Z"
+    if degrees == 360:  # an arc does not end where it starts
+        outline = f"M{-reach} 0" + "".join(f"A{reach} {reach} 0 0 1 {end} 0" for end in (reach, -reach)) + "Z"
     return (
         f'<path d="{outline}" transform="translate({pose.x + 0.5} {pose.y + 0.5}) rotate({90 * pose.heading})" '
         'fill="white" fill-opacity="0.25" stroke="#e69f00" stroke-width="0.25"/>'

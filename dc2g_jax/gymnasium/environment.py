@@ -180,7 +180,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
     Args:
       render_mode: `rgb_array` or `None`.
-      **options: `dataset`, `split`, `sensing_range`, `step_limit` and `cells` of `dc2g_jax.make_env`.
+      **options: `dataset`, `split`, `sensing_range`, `field_of_view`, `step_limit` and `cells` of `dc2g_jax.make_env`.
 
     Raises:
       InputError: an option or the dataset is invalid.

@@ -99,6 +99,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(yard, tmp_path
     wall = "column 0, row 0 is 'house', which is not traversable; the nearest cell to start from"
     refusal(lambda: explore(start=(0, 0, 0)), wall)
     refusal(lambda: explore(sensing_range=0), "sensing range 0", "1 to 64")
+    refusal(lambda: explore(field_of_view=400.0), "field of view 400", "1 to 360")
     np.save(yard, np.where(YARD == FRONT_DOOR, GRASS, YARD))
     refusal(explore, "yard.npy", "no front door")
     assert not out.exists()
@@ -123,9 +124,13 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
 def test_walls_hide_what_is_behind_them_by_other_rules(yard, tmp_path, monkeypatch):
     seen, options = [], explore_map.Options(yard, start=(1, 4, 3), planner=("frontier",), animation=(), no_record=True)
     monkeypatch.setattr(one_start, "plot_episode", lambda *args: seen.append(args[2]["frontier"].seen[0].sum()))
-    for settings in ("paper", "occluded"):
-        explore_map.main(dataclasses.replace(options, settings=settings, out=tmp_path / settings))
-    assert seen[1] < seen[0]
+    for settings, degrees in (("paper", None), ("occluded", None), ("paper", 360.0)):
+        explore_map.main(
+            dataclasses.replace(
+                options, settings=settings, field_of_view=degrees, out=tmp_path / f"{settings}{degrees}"
+            )
+        )
+    assert seen[1] < seen[0] < seen[2]
 
 
 @pytest.mark.parametrize(

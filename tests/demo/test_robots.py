@@ -110,6 +110,22 @@ def test_marks_tell_of_each_candidate(frontier):
     assert "<circle" not in walk_marks(frontier, HOUSE.terrain, len(frontier.snapshots) - 1, SENSING)
 
 
+@pytest.mark.parametrize(
+    ("degrees", "arc"),
+    [(90, "0 0 1 2.47 2.47Z"), (180, "0 0 1 0.00 3.50Z"), (270, "0 1 1 -2.47 2.47Z"), (360, "0 0 1 -3.5 0Z")],
+)
+def test_the_field_of_view_is_drawn_as_wide_as_it_is(frontier, degrees, arc):
+    assert f"A3.5 3.5 {arc}" in walk_marks(frontier, HOUSE.terrain, 0, 3, degrees)
+
+
+def test_a_robot_that_sees_all_around(demo):
+    demo.planners, demo.sensing_range, demo.field_of_view = ["frontier"], 4, 360
+    demo.begin()
+    demo.step()
+    wanted = oracle.visible(demo.start, 4, HOUSE.terrain.shape, 360)
+    np.testing.assert_array_equal(demo.walks["frontier"].snapshots[0].seen, wanted)
+
+
 def test_weights_and_range_are_the_planner_s(demo):
     demo.planners, demo.start, demo.sensing_range = ["dc2g"], START._replace(heading=2), 5
     assert (demo.distance_weight, demo.gain_weight) == (SCORE["actions"], -SCORE["gain"])

@@ -294,6 +294,16 @@ def test_flat_observations_are_drawn_evenly_between_zero_and_one():
     np.testing.assert_allclose([drawn.mean(), drawn.std()], [1 / 2, 12**-0.5], atol=0.02)
 
 
+def test_a_robot_may_see_all_around():
+    env, params = front_door(HOUSES, sensing_range=3, field_of_view=360)
+    observation, _ = env.reset(jax.random.key(0), params)
+    pose = tuple(int(part) for part in (observation.pose.x, observation.pose.y, observation.pose.heading))
+    seen = np.asarray(observation.terrain) != 0
+    assert seen.any()
+    assert not (seen & ~oracle.visible(pose, 3, seen.shape, 360)).any()
+    assert (seen & ~oracle.visible(pose, 3, seen.shape, 180)).any()
+
+
 def test_refusals():
     refusal(lambda: front_door([]), "give at least one")
     refusal(
@@ -301,5 +311,6 @@ def test_refusals():
     )
     refusal(lambda: front_door([*HOUSES, house("narrow", STREET[:, :9])]), "narrow", "street")
     refusal(lambda: front_door(HOUSES, sensing_range=0), "sensing_range 0:", "from 1 to")
+    refusal(lambda: front_door(HOUSES, field_of_view=361), "field of view 361:", "from 1 to 360 degrees")
     refusal(lambda: front_door(HOUSES, step_limit=0), "step_limit 0:", "from 1 to")
     refusal(lambda: front_door(HOUSES, step_limit=2**31), "step_limit 2147483648:", "from 1 to 2147483647")

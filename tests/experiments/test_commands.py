@@ -142,6 +142,12 @@ def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_pat
         (row,) = csv.DictReader(file)
     (alone,) = dc2g.evaluate("dc2g", houses, starts=[start], sensing_range=3, network=ExactCostToGo())
     assert (row["range"], row["actions"]) == ("3", alone.actions)
+    options |= {"settings": "paper", "field_of_view": 360.0, "out": tmp_path / "wide"}
+    run_episodes.main(run_episodes.Options(starts=starts, planner=("dc2g",), **options))
+    with (tmp_path / "wide" / "episodes.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    (alone,) = dc2g.evaluate("dc2g", houses, starts=[start], field_of_view=360, network=ExactCostToGo())
+    assert row["actions"] == alone.actions
 
 
 @pytest.mark.slow
@@ -317,6 +323,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path, compact_netw
     start = sample_starts([load_dataset(few_houses).split("test")[0]], 1, seed=0)[0]
     starts.write_text(f"house,x,y,heading,expanding_range\n{start.house},{start.x},{start.y},{start.heading},4\n")
     refused(run_episodes, "expanding range 4", "'paper'", "leave expanding_range out", starts=starts)
+    refused(run_episodes, "field of view 180", "'reference'", starts=starts, settings="reference", field_of_view=180.0)
     refused(reproduce_fig7, "nowhere", dataset=str(tmp_path / "nowhere"))
     refused(reproduce_fig7, "published houses", settings="published")
     refused(reproduce_fig7, "network.json", network=tmp_path)

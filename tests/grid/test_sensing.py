@@ -90,6 +90,45 @@ def test_opaque_cells_hide_what_is_behind_them(shape, seed, density):
         assert counts[pose[2], pose[1], pose[0]] == np.sum(cells & targets)
 
 
+@functools.cache
+def angles() -> list[tuple[int, float]]:
+    """Ranges and angles, 300 random ones, the first with cells on the edge of the field of view."""
+    rng = np.random.default_rng(0)
+    chosen = [360, 1, 180, 270, 359.9, *rng.uniform(1, 360, 295).tolist()]
+    return list(zip(rng.integers(1, 10, len(chosen)).tolist(), chosen, strict=True))
+
+
+def test_fields_of_view_of_any_angle_follow_the_rule():
+    for radius, degrees in angles():
+        for heading, offsets in enumerate(sensing.field_of_view(radius, degrees).offsets):
+            assert set(offsets) == set(oracle.sensing_offsets(radius, heading, degrees)), (radius, degrees)
+
+
+@pytest.mark.parametrize("examples", [12, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("view", [sensing.field_of_view, sensing.line_of_sight])
+def test_what_is_seen_at_any_angle(view, examples):
+    shape = height, width = 9, 33
+    for seed, (radius, degrees) in enumerate(angles()[:examples]):
+        kernel, rng = view(radius, degrees), np.random.default_rng(seed)
+        opaque, targets = rng.random(shape) < 0.2, rng.random(shape) < 0.1
+        walls, boards = (bitboard.pack(jnp.asarray(cells)) for cells in (opaque, targets))
+        x, y, heading = rng.integers(0, [[width], [height], [4]], (3, 8))
+        seen = kernel.visible(make_pose(x, y, heading), jnp.stack([walls] * 8, axis=-1), width)
+        seen = np.moveaxis(np.asarray(bitboard.unpack(seen, width)), -1, 0)
+        # These take a second to compile.
+        whole = (seed % 4 == 0) * [kernel]
+        seeing = [poses.unpack(one.poses_that_see(boards, walls), width) for one in whole]
+        counts = [one.count_seen(boards, walls, width) for one in whole]
+        for number, pose in enumerate(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True)):
+            if view is sensing.field_of_view:
+                expected = oracle.visible(pose, radius, shape, degrees)
+            else:
+                expected = oracle.visible_past(opaque, pose, radius, degrees)
+            np.testing.assert_array_equal(seen[number], expected, err_msg=f"{pose} {radius} {degrees}")
+            count = np.sum(expected & targets)
+            assert [one[pose[2], pose[1], pose[0]] for one in (*seeing, *counts)] == len(whole) * [count > 0, count]
+
+
 def test_batches_see_what_each_of_them_sees():
     kernel, height, width = sensing.line_of_sight(6), 9, 33
     robots = [maps.random_pose(seed, np.ones((height, width), bool)) for seed in range(6)]

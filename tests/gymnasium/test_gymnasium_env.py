@@ -311,6 +311,7 @@ def test_refused_tables_of_starts():
         ({"split": "training"}, ["'training'", "train, val, test"]),
         ({"sensing_range": 0}, ["sensing_range 0:"]),
         ({"sensing_range": -1}, ["sensing_range -1:"]),
+        ({"field_of_view": 0}, ["field of view 0:", "from 1 to 360 degrees"]),
         ({"step_limit": 0}, ["step_limit 0:", "from 1 to 2147483647"]),
         ({"dataset": "procedural", "cells": -1}, ["cells -1:", "at least 1"]),
         ({"dataset": "procedural", "cells": 1}, ["no episode can be run", "raise cells"]),

@@ -44,15 +44,23 @@ def _in_wedge(dx: int, dy: int, heading: int) -> bool:
     return abs(sideways) < forward
 
 
+def _in_view(dx: int, dy: int, heading: int, degrees: float) -> bool:
+    """Tell whether the angle between offset and heading is strictly less than half of the field of view, if not 360."""
+    forward, sideways = _forward_and_sideways(dx, dy, heading)
+    if degrees in (90, 180):  # no rounding
+        return abs(sideways) < forward if degrees == 90 else forward > 0
+    return degrees == 360 or forward > math.cos(math.radians(degrees / 2)) * math.hypot(dx, dy) + 1e-9
+
+
 @functools.cache
-def sensing_offsets(radius: int, heading: int) -> tuple[Offset, ...]:
+def sensing_offsets(radius: int, heading: int, degrees: float = 90) -> tuple[Offset, ...]:
     """Offsets (dx, dy) from the robot of the cells it sees, its own included, in raster order."""
     span = range(-radius, radius + 1)
     return tuple(
         (dx, dy)
         for dy in span
         for dx in span
-        if (dx, dy) == (0, 0) or (dx * dx + dy * dy <= radius * radius and _in_wedge(dx, dy, heading))
+        if (dx, dy) == (0, 0) or (dx * dx + dy * dy <= radius * radius and _in_view(dx, dy, heading, degrees))
     )
 
 
@@ -70,43 +78,48 @@ def expanding_offsets(radius: int, heading: int) -> tuple[Offset, ...]:
     return tuple(sorted(kept, key=lambda offset: (offset[1], offset[0])))
 
 
-def visible(pose: Pose, radius: int, shape: tuple[int, int]) -> Array:
+def visible(pose: Pose, radius: int, shape: tuple[int, int], degrees: float = 90) -> Array:
     """Cells seen from a pose: bool [h w]."""
     x, y, heading = pose
     height, width = shape
     seen = np.zeros(shape, bool)
-    for dx, dy in sensing_offsets(radius, heading):
+    for dx, dy in sensing_offsets(radius, heading, degrees):
         if 0 <= x + dx < width and 0 <= y + dy < height:
             seen[y + dy, x + dx] = True
     return seen
 
 
-def visible_past(opaque: Array, pose: Pose, radius: int) -> Array:
-    """Cells seen from a pose where opaque cells hide what is behind them: bool [h w].
+@functools.cache
+def _looked_through(radius: int, heading: int, degrees: float) -> tuple[tuple[Offset, Offset], ...]:
+    """The offsets (dx, dy) in view and those that they are looked at through, ring by ring.
 
-    From one ring ahead to the next: a cell is looked at through the one before it that is nearest to the straight line,
-    and of two equally near ones, through the one nearer to the middle.
+    From one square ring to the next: a cell is looked at through the one in view, a step nearer along x or y, whichever
+    is longer, that is nearest to the straight line; of two equally near ones, through the one nearer to the axis.
     """
+    in_view = sorted(set(sensing_offsets(radius, heading, degrees)) - {(0, 0)}, key=lambda one: max(map(abs, one)))
+    through = []
+    for offset in in_view:
+        axis = 0 if abs(offset[0]) >= abs(offset[1]) else 1
+        step = offset[axis] - (1 if offset[axis] > 0 else -1)
+        exact = offset[1 - axis] * step / offset[axis]
+        before = [one for one in ((0, 0), *in_view) if one[axis] == step]
+        through.append(min(before, key=lambda one: (abs(one[1 - axis] - exact), abs(one[1 - axis]))))
+    return tuple(zip(in_view, through, strict=True))
+
+
+def visible_past(opaque: Array, pose: Pose, radius: int, degrees: float = 90) -> Array:
+    """Cells seen from a pose where opaque cells hide what is behind them: bool [h w]."""
     x, y, heading = pose
     height, width = opaque.shape
-    forward, right = ((1, 0), (0, 1), (-1, 0), (0, -1))[heading], ((0, 1), (-1, 0), (0, -1), (1, 0))[heading]
     seen = np.zeros(opaque.shape, bool)
     seen[y, x] = True
     clear = {(0, 0): True}
-    for ahead in range(1, radius + 1):
-        for lateral in range(1 - ahead, ahead):
-            if ahead**2 + lateral**2 > radius**2:
-                continue
-            exact = lateral * (ahead - 1) / ahead
-            through = min(
-                (place for place in clear if place[0] == ahead - 1), key=lambda p: (abs(p[1] - exact), abs(p[1]))
-            )
-            column = x + ahead * forward[0] + lateral * right[0]
-            row = y + ahead * forward[1] + lateral * right[1]
-            inside = 0 <= column < width and 0 <= row < height
-            clear[ahead, lateral] = clear[through] and not (inside and opaque[row, column])
-            if inside and clear[through]:
-                seen[row, column] = True
+    for (dx, dy), through in _looked_through(radius, heading, degrees):
+        column, row = x + dx, y + dy
+        inside = 0 <= column < width and 0 <= row < height
+        clear[dx, dy] = clear[through] and not (inside and opaque[row, column])
+        if inside and clear[through]:
+            seen[row, column] = True
     return seen
 
 
@@ -171,10 +184,10 @@ def frontier_expanding_reference(seen: Array, reachable: Array, pose: Pose, radi
     return _expanding(frontier, reachable, pose, [expanding_offsets(radius, heading) for heading in range(4)])
 
 
-def frontier_expanding_complete(seen: Array, reachable: Array, pose: Pose, radius: int) -> Array:
+def frontier_expanding_complete(seen: Array, reachable: Array, pose: Pose, radius: int, degrees: float = 90) -> Array:
     """Reachable poses that see an unseen neighbor of a frontier cell, less the current one: bool [4 h w]."""
     wanted = ~seen & _neighbor_of(frontier_complete(seen, reachable))
-    return _expanding(wanted, reachable, pose, [sensing_offsets(radius, heading) for heading in range(4)])
+    return _expanding(wanted, reachable, pose, [sensing_offsets(radius, heading, degrees) for heading in range(4)])
 
 
 def _expanding(wanted: Array, reachable: Array, pose: Pose, kernels: Sequence[Sequence[Offset]]) -> Array:

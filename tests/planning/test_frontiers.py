@@ -16,14 +16,14 @@ from tests.support.exploration import EXPANDING, SENSING, belief_of, random_mome
 
 
 @functools.cache
-def frontier_sets(width: int):
+def frontier_sets(width: int, degrees: float = 90):
     def run(terrain, seen, pose):
         belief = belief_of(terrain, seen, pose)
         robot = bitboard.single(belief.pose.x, belief.pose.y, *belief.seen.shape)
         reachable = bitboard.flood(robot, belief.traversable)
         boards = (reachable, frontiers.frontier_cells(belief, reachable))
         pose_sets = (
-            frontiers.complete(belief, reachable, field_of_view(SENSING)),
+            frontiers.complete(belief, reachable, field_of_view(SENSING, degrees)),
             frontiers.reference(belief, reachable, expanding_kernel(EXPANDING)),
         )
         unpacked = [bitboard.unpack(board, width) for board in boards] + [poses.unpack(p, width) for p in pose_sets]
@@ -47,6 +47,18 @@ def test_both_rules(shape, seed, density):
     np.testing.assert_array_equal(reference, oracle.frontier_expanding_reference(seen, wanted, pose, EXPANDING))
     for board in boards:
         assert not (np.asarray(board) & ~bitboard.full(*shape)).any(), "padding must stay zero"
+
+
+@pytest.mark.parametrize("degrees", [30, 200, 360])
+def test_frontiers_of_other_fields_of_view(degrees):
+    found = 0
+    for seed in range(10):
+        terrain, seen, pose = random_moment(seed, (7, 33), 0.75)
+        reached, _, complete, _ = map(np.asarray, frontier_sets(33, degrees)(terrain, seen, pose)[0])
+        wanted = oracle.frontier_expanding_complete(seen, reached, pose, SENSING, degrees)
+        np.testing.assert_array_equal(complete, wanted)
+        found += wanted.any()
+    assert found
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -244,6 +244,16 @@ def test_the_sensing_range_is_in_meters_whatever_the_cells(pixel, cell_size, sen
     assert 15.5 * planned - decision.subgoal.x == pytest.approx(away)
 
 
+@pytest.mark.parametrize(("degrees", "x", "turns"), [(None, 1.35, 1), (90, 1.35, 1), (360, 1.25, 0)])
+def test_a_robot_that_sees_all_around_need_not_turn(degrees, x, turns):
+    """To see what is beside a corridor."""
+    cells = np.pad(np.full((1, 15), FREE), 3, constant_values=OCCUPIED)
+    cells[2, 13] = UNKNOWN
+    planner = MetricPlanner(cell_size=0.1, sensing_range=0.2, field_of_view=degrees, largest=(16, 32))
+    decision = planner.plan(MetricMap(cells, 0.1, MapFrame(0.0, 0.0, 0.0)), (0.35, 0.35, 0.0))
+    assert decision.subgoal == pytest.approx((x, 0.35, -math.pi / 2 * turns))
+
+
 def test_a_planner_of_ones_own_keeps_its_range_in_cells():
     planner = planner_of(2, without_occlusion())
     sealed = np.pad(np.full((4, 4), FREE), 2, constant_values=OCCUPIED)
@@ -428,6 +438,7 @@ def test_a_range_below_the_cells_of_a_map_is_one_line():
         ({"cell_size": 0}, ["cell_size 0", "meters"]),
         ({"sensing_range": math.inf}, ["sensing_range inf"]),
         ({"sensing_range": 0.2}, ["sensing_range 0.2 is less than cell_size, 0.25 m"]),
+        ({"field_of_view": -1}, ["field of view -1", "from 1 to 360 degrees"]),
         ({"smallest_cell": 0.3}, ["smallest_cell 0.3", "at most 0.25", "cell_size"]),
         ({"smallest_cell": -1.0}, ["smallest_cell -1.0"]),
         ({"labels": {1: "lawn"}}, ["value 1 in labels", "'lawn'", "grass"]),

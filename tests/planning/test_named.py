@@ -108,7 +108,9 @@ def test_make_takes_settings_and_the_network_from_where_it_is_told():
     assert make_planner("true_cost_to_go", settings=SETTINGS["paper"], sensing_range=4) == DC2G(ExactCostToGo(), RULES)
     assert make_planner("dc2g", network=ExactCostToGo()).estimator == ExactCostToGo()
     assert isinstance(make_planner("dc2g").estimator, NetworkCostToGo)
+    assert make_planner("frontier", field_of_view=180) == Frontier(complete_rules(8, degrees=180))
     refusal(lambda: make_planner("frontier", sensing_range=65), "sensing range 65", "1 to 64")
+    refusal(lambda: make_planner("frontier", field_of_view=0), "field of view 0", "1 to 360")
     refusal(lambda: make_planner("dc2g", network="no_such_folder"), "no_such_folder", "no such file")
 
 

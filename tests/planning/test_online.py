@@ -329,6 +329,19 @@ def test_decisions_do_not_depend_on_the_grid(name):
         assert_alike(fitting.plan(grid, pose), larger.plan(grid, pose))
 
 
+def test_a_robot_that_sees_all_around_explores_by_what_it_sees():
+    planner = OnlinePlanner("frontier", sensing_range=SENSING, field_of_view=360, largest=SHAPE)
+    terrains, starts = random_worlds(SHAPE, 900, episodes=4)
+    for terrain, pose in zip(terrains, starts, strict=True):
+        seen = oracle.visible(pose, SENSING, SHAPE, 360)
+        reached = oracle.reachable(seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES), *pose[:2])
+        wanted = oracle.frontier_expanding_complete(seen, reached, pose, SENSING, 360)
+        decision = planner.plan(observed(terrain, seen), pose)
+        if decision.mode == "explore":
+            found = [[each.y, each.x] for each in decision.candidates]
+            assert sorted(found) == np.argwhere(wanted.any(axis=0)).tolist()
+
+
 def test_beyond_a_map_of_known_size_there_is_nothing_to_explore():
     road = np.full((6, 6), 3, np.uint8)
     assert planner_of("dc2g").plan(road, (2, 2, 0)).mode == "gave_up"
@@ -499,6 +512,12 @@ def test_bad_input_is_one_line_with_the_value_and_the_remedy(grid, pose, origin,
         ({"largest": (5,)}, ["largest", "whole numbers"]),
         ({"largest": 50}, ["largest is 50", "whole numbers"]),
         ({"sensing_range": 2.5}, ["sensing_range 2.5", "whole number"]),
+        ({"field_of_view": 400}, ["field of view 400", "from 1 to 360 degrees"]),
+        ({"field_of_view": 180, "settings": "reference"}, ["field of view 180", "'reference'", "90 degrees only"]),
+        (
+            {"planner": Frontier(complete_rules(8, degrees=120)), "field_of_view": 90},
+            ["field_of_view 90", "rules say 120 degrees", "leave it out"],
+        ),
         ({"largest": (5.5, 5)}, ["5.5", "whole numbers"]),
     ],
 )

@@ -381,6 +381,24 @@ def test_named_settings():
 NARROW = Settings("narrow", 3, None, lambda sensing_range, _: complete_rules(sensing_range))
 
 
+def test_settings_with_another_field_of_view():
+    for name, view in (("paper", field_of_view), ("occluded", line_of_sight)):
+        wide = named_settings(name, 360)
+        assert (wide.name, wide.field_of_view, SETTINGS[name].field_of_view) == (name, 360, 90)
+        assert wide.rules(4).sensing == view(4, 360)
+        assert wide.rules(4) is complete_rules(4, view, 360)
+        assert named_settings(name, 90) == SETTINGS[name]
+    for name in ("published", "reference", NARROW):
+        assert named_settings(name, 90).rules() == named_settings(name).rules()
+        refusal(lambda name=name: named_settings(name, 180), "field of view 180", "90 degrees only", "'occluded'")
+    for bad in (0, 361, -90, float("nan"), float("inf"), True):
+        refusal(lambda bad=bad: named_settings("paper", bad), "field of view", "from 1 to 360 degrees")
+        refusal(lambda bad=bad: complete_rules(4, degrees=bad), "field of view", "from 1 to 360 degrees")
+    own = Settings("own", 3, None, lambda reach, _, *, degrees: complete_rules(reach, degrees=degrees), 120)
+    assert named_settings(own).rules() == complete_rules(3, degrees=120)
+    assert named_settings(own, 45).rules(5) == complete_rules(5, degrees=45)
+
+
 def test_settings_of_the_users_own_go_by_their_name():
     assert named_settings(f"{__name__}:NARROW") is NARROW
     assert named_settings("paper") is SETTINGS["paper"]

@@ -226,12 +226,29 @@ def test_a_planner_made_for_another_field_of_view_is_refused(dataset):
     refusal(lambda: evaluate(mine, dataset, starts=STARTS[1:3]), "'mine'", "5 cells", "one of 8", "sensing_range")
     occluded = {"mine": make_planner("frontier", settings="occluded")}
     refusal(lambda: evaluate(occluded, dataset, starts=STARTS[1:3]), "'mine'", "one of 8 of another kind")
+    wide = {"mine": make_planner("frontier", field_of_view=120)}
+    refusal(
+        lambda: evaluate(wide, dataset, starts=STARTS[1:3], field_of_view=360),
+        "'mine'", "8 cells and 120 degrees", "one of 8 and 360", "field_of_view",
+    )  # fmt: skip
+
+
+def test_robots_may_see_all_around(dataset):
+    results = evaluate("frontier", dataset, starts=STARTS[1:3], sensing_range=3, field_of_view=360)
+    mine = {"frontier": Frontier(complete_rules(3, degrees=360))}
+    assert list(results) == list(evaluate(mine, dataset, starts=STARTS[1:3], sensing_range=3, field_of_view=360))
+    narrow = evaluate("frontier", dataset, starts=STARTS[1:3], sensing_range=3)
+    assert [one.actions for one in results] != [one.actions for one in narrow]
 
 
 def test_evaluate_refuses_before_anything_runs(dataset):
     refusal(lambda: evaluate(["fronteir"], dataset), "fronteir", "give one of oracle")
     refusal(lambda: evaluate(["frontier"], dataset, settings="papers"), "papers", "published")
     refusal(lambda: evaluate(["frontier"], dataset, sensing_range=0), "sensing range 0")
+    refusal(lambda: evaluate(["frontier"], dataset, field_of_view=0), "field of view 0", "from 1 to 360 degrees")
+    refusal(
+        lambda: evaluate("frontier", dataset, settings="published", field_of_view=180), "'published'", "90 degrees only"
+    )
     for unnamed in (Frontier, [Frontier], make_planner("frontier")):
         refusal(lambda unnamed=unnamed: evaluate(unnamed, dataset), "is no name", "mapping, such as")
     refusal(lambda: evaluate({"mine": lambda rules: rules}, dataset), "'mine'", "has no init", "check_planner")

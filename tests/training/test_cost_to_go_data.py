@@ -36,6 +36,7 @@ def houses(street) -> list[House]:
         ({"ranges": ()}, "sensing ranges"),
         ({"ranges": (0, 5)}, "sensing range 0"),
         ({"ranges": (5, 65)}, "from 1 to 64 cells"),
+        ({"field_of_view": 0.5}, "field of view 0.5: give a number from 1 to 360"),
         ({"masks_per_episode": 0}, "masks_per_episode 0"),
         ({"extra_houses": -1}, "extra_houses -1"),
         ({"half_weight_cost": 0.0}, "half_weight_cost 0.0"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
-from dc2g_jax._src.grid import bitboard, gridworld
+from dc2g_jax._src.grid import bitboard, gridworld, poses
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax._src.grid.world import World
@@ -19,7 +19,7 @@ from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.training import masks
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
-from dc2g_jax._src.training.masks import by_house, collect_masks, moments_along
+from dc2g_jax._src.training.masks import View, by_house, collect_masks, moments_along
 from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, jittered, make_pair
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
@@ -253,6 +253,27 @@ def test_moments_equal_stepping_the_gridworld(shape, view):
             assert exploring[-1] == (not (reached & (terrain == oracle.FRONT_DOOR)).any())
     assert any(exploring)
     assert not all(exploring)
+
+
+@pytest.mark.parametrize("degrees", [90, 300, 360])
+def test_one_program_has_fields_of_view_of_several_ranges(degrees):
+    ranges, shape, width = (1, 2, 5), (9, 33), 33
+
+    @jax.jit
+    def look(number, pose, cells):
+        view, board = View(number, ranges, degrees), bitboard.pack(cells)
+        return (
+            bitboard.unpack(view.visible(pose, board, width), width),
+            poses.unpack(view.poses_that_see(board, board), width),
+        )
+
+    for seed, (number, reach) in enumerate(enumerate(ranges)):
+        cells, pose = maps.random_cells(seed, shape, 0.05), maps.random_pose(seed, np.ones(shape, bool))
+        seen, seeing = look(jnp.int32(number), make_pose(*pose), cells)
+        np.testing.assert_array_equal(seen, oracle.visible(pose, reach, shape, degrees))
+        for heading in range(4):
+            wanted = oracle._sources(cells, oracle.sensing_offsets(reach, heading, degrees))
+            np.testing.assert_array_equal(seeing[heading], wanted)
 
 
 def test_masks_collected_along_paths(street, island, monkeypatch):

@@ -17,7 +17,7 @@ from tests.support.refusals import refusal
 
 DATASET = HouseDataset("two", "folder", (house("street", STREET), house("lane", STREET[:, ::-1].copy(), "val")))
 CONFIG = dc2g.TrainingConfig(Architecture((4, 4)), steps=3, batch_size=2)
-DATA = dc2g.DataConfig(extra_houses=0, starts_per_house=1, ranges=(3,))
+DATA = dc2g.DataConfig(extra_houses=0, starts_per_house=1, ranges=(3,), field_of_view=120)
 RARELY = Pauses(validate_every=0)
 
 
@@ -30,6 +30,7 @@ def test_houses_become_a_network_that_is_evaluated_and_kept(tmp_path):
     jax.tree.map(np.testing.assert_array_equal, kept.weights, trained.network.weights)
     written = (tmp_path / "network" / "network.json").read_bytes()
     assert json.loads(written)["steps"] == 3
+    assert json.loads(written)["masks"].endswith("sensing ranges 3 cells and 120 degrees")
     # It is finished: nothing is trained anew, and another call gives the same.
     again = dc2g.train(tmp_path, DATASET, config=CONFIG, data=DATA, pauses=RARELY, split=None)
     assert again.results is None

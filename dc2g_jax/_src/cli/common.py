@@ -40,6 +40,9 @@ PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 #: Rules: a name in `planning.rules.SETTINGS`, or `package.module:Name`.
 SettingsOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
 
+#: Width of the field of view in degrees; `None` for that of the settings.
+FieldOfViewOption = Annotated[float | None, tyro.conf.arg(metavar="DEGREES", help_behavior_hint="(default: 90)")]
+
 #: Size of a camera's images in pixels.
 ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from tqdm import tqdm
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, network_for
+from dc2g_jax._src.cli.common import FieldOfViewOption, PlannersOption, SettingsOption, check_planners, network_for
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions
@@ -43,6 +43,7 @@ class OneStartOptions(NetworkOptions, OutOptions):
         own.
       settings: rules, as in dc2g run; `occluded`: walls and other tall objects hide what is behind them.
       sensing_range: number of cells that a robot sees ahead.
+      field_of_view: width of the robots' field of view in degrees, as in dc2g run.
       animation: formats of the animation.
       no_figures: draw no figures and no animation, which take most of the time on large maps.
       no_record: write no rerun recording, which takes most of the space on large maps.
@@ -53,6 +54,7 @@ class OneStartOptions(NetworkOptions, OutOptions):
     planner: PlannersOption = ("dc2g", "frontier")
     settings: SettingsOption = "paper"
     sensing_range: int = 8
+    field_of_view: FieldOfViewOption = None
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
     no_figures: bool = False
     no_record: bool = False
@@ -80,7 +82,8 @@ def run_one_start(
     check_planners(options.planner)
     network = network_for(options.planner, options.network)
     dataset = HouseDataset(house.name, "folder", (house,))
-    runner = Runner(dataset, named_settings(options.settings), step_limit=step_limit, progress=EpisodeProgress())
+    settings = named_settings(options.settings, options.field_of_view)
+    runner = Runner(dataset, settings, step_limit=step_limit, progress=EpisodeProgress())
     rules = runner.rules(start)
     out = output_folder(options, command)
     for warning in warnings:

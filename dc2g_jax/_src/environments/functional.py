@@ -24,10 +24,10 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from dc2g_jax._src.environments import spaces
-from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid import gridworld, sensing
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import Kernel, check_sensing_range, field_of_view
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES, Kernel, check_sensing_range
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, stack_worlds
@@ -203,13 +203,18 @@ class FrontDoor:
 
 
 def front_door(
-    houses: Sequence[House], *, sensing_range: int = SENSING_RANGE, step_limit: int = STEP_LIMIT
+    houses: Sequence[House],
+    *,
+    sensing_range: int = SENSING_RANGE,
+    field_of_view: float = PAPER_DEGREES,
+    step_limit: int = STEP_LIMIT,
 ) -> tuple[FrontDoor, Params]:
     """The environment, and its parameters for a set of houses.
 
     Args:
       houses: houses of equal size; each is drawn with equal probability.
-      sensing_range: range of the 90-degree field of view, in cells.
+      sensing_range: range of the field of view, in cells.
+      field_of_view: width of the field of view in degrees, 1 to 360.
       step_limit: actions after which an episode is truncated.
 
     Raises:
@@ -232,7 +237,7 @@ def front_door(
         start_count=jnp.asarray(counts, jnp.int32),
         step_limit=jnp.int32(step_limit),
     )
-    return FrontDoor(field_of_view(int(sensing_range)), params), params
+    return FrontDoor(sensing.field_of_view(int(sensing_range), field_of_view), params), params
 
 
 def observe(state: State) -> Observation:

@@ -3,6 +3,7 @@
 import os
 
 from dc2g_jax._src.environments.functional import SENSING_RANGE, FrontDoor, Params, front_door
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
@@ -15,6 +16,7 @@ def make_env(
     dataset: str | os.PathLike[str] | HouseDataset | None = None,
     split: str = "train",
     sensing_range: int = SENSING_RANGE,
+    field_of_view: float = PAPER_DEGREES,
     step_limit: int = STEP_LIMIT,
     cells: int = 50,
 ) -> tuple[FrontDoor, Params]:
@@ -31,7 +33,8 @@ def make_env(
       dataset: folder of houses, the word `procedural`, or an open dataset; `None` for the published houses, see
         `readers.houses.open_dataset`.
       split: `train`, `val` or `test`. Houses in which no episode can be run are left out.
-      sensing_range: range of the 90-degree field of view, in cells.
+      sensing_range: range of the field of view, in cells.
+      field_of_view: width of the field of view in degrees, 1 to 360.
       step_limit: actions after which an episode is truncated.
       cells: side length of the square maps, if `dataset` is not open yet.
 
@@ -41,4 +44,4 @@ def make_env(
     check_name("environment", name, [FrontDoor.name])
     dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset, cells=cells)
     houses = usable_houses(dataset, split, instead="raise cells or use another split")
-    return front_door(houses, sensing_range=sensing_range, step_limit=step_limit)
+    return front_door(houses, sensing_range=sensing_range, field_of_view=field_of_view, step_limit=step_limit)

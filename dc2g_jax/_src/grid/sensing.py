@@ -1,8 +1,8 @@
 """Which cells a robot sees from a pose: kernels of constant offsets, one set per heading.
 
-The paper's field of view has no occlusion: it is four constant sets of offsets, moved to the robot's cell. With
-occlusion (`line_of_sight`), the offsets form a tree: a cell is seen through an adjacent cell nearer to the robot, which
-is its parent. Batch axes come last, see `grid.bitboard`.
+The paper's field of view is 90 degrees wide and has no occlusion: it is four constant sets of offsets, moved to the
+robot's cell. Other widths have other sets. With occlusion (`line_of_sight`), the offsets form a tree: a cell is seen
+through an adjacent cell nearer to the robot, which is its parent. Batch axes come last, see `grid.bitboard`.
 """
 
 import dataclasses
@@ -25,6 +25,9 @@ from dc2g_jax._src.runtime.programs import apart
 #: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
 MAX_SENSING_RANGE = 64
 
+#: Width of the paper's field of view, and of one all around, in degrees.
+PAPER_DEGREES, ALL_AROUND = 90.0, 360.0
+
 
 def check_sensing_range(name: str, value: Any) -> None:
     """Check a range of a field of view, in cells.
@@ -33,6 +36,15 @@ def check_sensing_range(name: str, value: Any) -> None:
       InputError: it is not a whole number from 1 to `MAX_SENSING_RANGE`.
     """
     check_number(name, value, whole=True, least=1, most=MAX_SENSING_RANGE, hint="cells")
+
+
+def check_degrees(name: str, value: Any) -> None:
+    """Check the width of a field of view, in degrees.
+
+    Raises:
+      InputError: it is not a number from 1 to 360.
+    """
+    check_number(name, value, least=1, most=ALL_AROUND, hint="degrees")
 
 
 class FieldOfView(Protocol):
@@ -54,10 +66,12 @@ class Kernel:
     Attributes:
       radius: bound on the absolute offsets along x and y, in cells.
       offsets: the offsets `(dx, dy)` of each of the four headings.
+      degrees: the angle that the offsets come from, for messages; `None` if they come from another rule.
     """
 
     radius: int
     offsets: tuple[tuple[tuple[int, int], ...], ...] = dataclasses.field(repr=False)
+    degrees: float | None = dataclasses.field(default=None, repr=False, compare=False)
 
     def as_array(self) -> Bool[np.ndarray, "heading dy dx"]:
         """The kernel as a boolean array with the robot's cell at index `(radius, radius)`."""
@@ -81,7 +95,19 @@ class Kernel:
     def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
         """Poses from which at least one target cell is seen, see `visible`."""
         del opaque
-        return jnp.stack([bitboard.cells_that_see(targets, offsets) for offsets in self.offsets])
+        return self._stacked(lambda offsets, board: bitboard.cells_that_see(board, offsets), targets)
+
+    @property
+    def _all_around(self) -> bool:
+        """Whether the same is seen in all headings."""
+        return len({frozenset(offsets) for offsets in self.offsets}) == 1
+
+    def _stacked(self, of: Callable[[tuple[tuple[int, int], ...], Array], Array], cells: Array) -> Array:
+        """`of(offsets, cells)` for each heading, computed once if the same is seen in all."""
+        if self._all_around:
+            every = apart(functools.partial(of, self.offsets[0]), cells)
+            return jnp.broadcast_to(every, (HEADINGS, *every.shape))
+        return jnp.stack([of(offsets, cells) for offsets in self.offsets])
 
     def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
         """Number of target cells that are seen from every pose, see `visible`.
@@ -105,7 +131,7 @@ class Kernel:
 
             return functools.reduce(jnp.add, [until(dx, last) - until(dx, first - 1) for dx, first, last in runs])
 
-        return jnp.stack([apart(functools.partial(counted, _runs(offsets)), sums) for offsets in self.offsets])
+        return self._stacked(lambda offsets, sums: apart(functools.partial(counted, _runs(offsets)), sums), sums)
 
     @property
     def _count(self) -> type:
@@ -136,27 +162,27 @@ def _row_by_row(rows: Array) -> Array:
 class OccludedKernel(Kernel):
     """A set of offsets that are seen only where nothing opaque is in between.
 
-    An offset is seen through its parent: the offset one cell less ahead that lies next to the straight line to the
-    robot. A cell is hidden if its parent is hidden or opaque; the robot's own cell hides nothing. Hidden cells are
-    therefore revealed one after the other: a robot that drives to a pose from which, as far as it knows, it would see
-    something unobserved does observe something new there.
+    An offset is seen through its parent: the offset one cell nearer, along x or y, that lies next to the straight line
+    to the robot. A cell is hidden if its parent is hidden or opaque; the robot's own cell hides nothing. Hidden cells
+    are therefore revealed one after the other: a robot that drives to a pose from which, as far as it knows, it would
+    see something unobserved does observe something new there.
     """
 
     def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
         """The in-bounds cells that are seen from a pose, see `Kernel.visible`."""
         height = opaque.shape[1]
-        dx, dy, parents = (jnp.asarray(table)[pose.heading] for table in self._tree())
-        x, y = (jnp.moveaxis(offsets, -1, 0) + here for offsets, here in ((dx, pose.x), (dy, pose.y)))
+        dx, dy, parents = self._tree()
+        there = (jnp.moveaxis(jnp.asarray(table)[pose.heading], -1, 0) for table in (dx, dy))
+        x, y = (offsets + here for offsets, here in zip(there, (pose.x, pose.y), strict=True))
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         is_opaque = jax.vmap(functools.partial(bitboard.contains, opaque))
         hides = is_opaque(jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)) & inside
         # The robot's own cell comes first and hides nothing.
-        through = jnp.concatenate([jnp.ones_like(hides[:1]), ~hides[1:]])
-        parents = jnp.moveaxis(parents, -1, 0)
-        seen = jnp.ones_like(inside)
-        # The depth of an offset in the tree is its distance ahead.
-        for _ in range(self.radius):
-            seen = jnp.take_along_axis(seen & through, parents, axis=0)
+        seen = jnp.concatenate([jnp.ones_like(hides[:1]), ~hides[1:]])[parents]
+        # Twice as many steps toward the robot each time. There are no more than the distance along x or y.
+        for _ in range((self.radius - 1).bit_length()):
+            seen &= seen[parents]
+            parents = parents[parents]
         cells = bitboard.single(x, jnp.where(seen & inside, y, -1), *opaque.shape[:2])
         return jnp.bitwise_or.reduce(cells, axis=2)
 
@@ -180,9 +206,10 @@ class OccludedKernel(Kernel):
         The fold begins with `own`, the result for the robot's own cell.
         """
         height = opaque.shape[1]
-        dx, dy, parents = self._tree()
-        # Slots are reused: parents are never further back. The compiler copies all slots in every step.
-        slots = 1 + int(np.max(np.arange(parents.shape[1]) - parents))
+        dx, dy, _ = self._tree()
+        headings = slice(1 if self._all_around else HEADINGS)
+        # A branch of the tree is done before the next begins, so there is one slot for each depth.
+        depth = np.maximum(np.abs(dx), np.abs(dy))
         reach = range(-self.radius, self.radius + 1)
         framed = [(0, 0), (self.radius, self.radius)] + [(0, 0)] * (opaque.ndim - 2)
         columns = jnp.stack(
@@ -191,72 +218,98 @@ class OccludedKernel(Kernel):
 
         def look(carry: tuple[Array, Array], offset: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
             result, through = carry
-            number, dx, dy, parent = offset
+            dx, dy, depth = offset
             there = jax.lax.dynamic_slice_in_dim(columns[dx + self.radius], dy + self.radius, height, axis=2)
-            result = add(result, through[parent] & there[0])
-            return (result, through.at[number % slots].set(through[parent] & ~there[1])), None
+            result = add(result, through[depth - 1] & there[0])
+            return (result, through.at[depth].set(through[depth - 1] & ~there[1])), None
 
         def all_offsets(tree: tuple[Array, ...]) -> Array:
             # Cells from which each offset is seen and seen through; the robot's own cell hides nothing.
-            through = jnp.broadcast_to(~jnp.zeros_like(opaque), (slots, *opaque.shape))
-            offsets = (jnp.arange(1, tree[0].size), *(table[1:] for table in tree))
-            return jax.lax.scan(look, (own, through), offsets)[0][0]
+            through = jnp.broadcast_to(~jnp.zeros_like(opaque), (self.radius + 1, *opaque.shape))
+            return jax.lax.scan(look, (own, through), jax.tree.map(lambda table: table[1:], tree))[0][0]
 
-        return jax.lax.map(all_offsets, (jnp.asarray(dx), jnp.asarray(dy), jnp.asarray(parents % slots)))
+        seeing = jax.lax.map(all_offsets, jax.tree.map(lambda table: jnp.asarray(table[headings]), (dx, dy, depth)))
+        return jnp.broadcast_to(seeing, (HEADINGS, *seeing.shape[1:]))
 
-    def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
-        """Columns, rows and parents' indices of the offsets; the robot's own cell first, parents before children."""
+    def _tree(
+        self,
+    ) -> tuple[Int[np.ndarray, "heading offsets"], Int[np.ndarray, "heading offsets"], Int[np.ndarray, "offsets"]]:
+        """Columns and rows of the offsets in all headings, and their parents' indices.
+
+        The robot's own cell comes first, and each other one after its parent and all that is seen through the parent's
+        earlier children.
+        """
         # Heading 0 looks along x: its offsets are cells ahead and aside. The other headings have them turned.
-        offsets = sorted(self.offsets[0])
-        number = {offset: index for index, offset in enumerate(offsets)}
-        parents = np.array([number[_toward_the_robot(*offset)] for offset in offsets], np.int32)
-        ahead, lateral = np.array(offsets, np.int32).T
+        in_view = frozenset(self.offsets[0])
+
+        @functools.cache
+        def path(offset: tuple[int, int]) -> tuple[tuple[int, int], ...]:
+            """From the robot's own cell to the offset."""
+            if offset == (0, 0):
+                return (offset,)
+            return *path(next(filter(in_view.__contains__, _toward_the_robot(*offset)))), offset
+
+        paths = sorted(map(path, in_view))
+        number = {path[-1]: index for index, path in enumerate(paths)}
+        parents = np.array([number[path[-2:][0]] for path in paths])
+        ahead, lateral = np.array([path[-1] for path in paths], np.int32).T
         ex, ey = np.array(FORWARD, np.int32).T[..., None]
-        return ahead * ex - lateral * ey, ahead * ey + lateral * ex, np.tile(parents, (HEADINGS, 1))
+        return ahead * ex - lateral * ey, ahead * ey + lateral * ex, parents
 
 
-def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
-    """The parent: one cell less ahead, next to the straight line to the robot; of two, the one nearer to the middle."""
-    if ahead == 0:
-        return 0, 0
-    # Rounding toward the middle keeps the parent within the wedge.
-    beside = (2 * abs(lateral) * (ahead - 1) + ahead - 1) // (2 * ahead)
-    return ahead - 1, beside if lateral > 0 else -beside
+def _toward_the_robot(ahead: int, lateral: int) -> list[tuple[int, int]]:
+    """The parent of an offset other than (0, 0): one cell nearer along the longer axis, next to the line to the robot.
+
+    Returns:
+      The nearest cell to the line, of two the one nearer to the longer axis; and where that may be out of view, the
+      nearest one on the side of the heading.
+    """
+    is_aside = abs(lateral) > abs(ahead)
+    far, short = (lateral, ahead) if is_aside else (ahead, lateral)
+    nearer, side, across = abs(far) - 1, 1 if short > 0 else -1, abs(short) * (abs(far) - 1)
+    nearest, less, more = (2 * across + nearer) // (2 * abs(far)), across // abs(far), -(-across // abs(far))
+    toward = more if (short > 0 if is_aside else far < 0) else less
+    steps = [(nearer if far > 0 else -nearer, side * beside) for beside in (nearest, toward)]
+    return [(beside, step) if is_aside else (step, beside) for step, beside in steps]
 
 
-def _window(radius: int) -> tuple[Bool[np.ndarray, "lateral ahead"], Int[np.ndarray, "lateral ahead"]]:
-    """Which cells around the robot are less than 45 degrees off the heading, and their squared distances."""
+def _window(
+    radius: int, degrees: float = PAPER_DEGREES
+) -> tuple[Bool[np.ndarray, "lateral ahead"], Int[np.ndarray, "lateral ahead"]]:
+    """Which cells around the robot are less than half the angle off the heading, and their squared distances."""
     steps = np.arange(-radius, radius + 1)
     ahead, lateral = steps, steps[:, None]
-    return np.abs(lateral) < ahead, ahead**2 + lateral**2
+    off = np.degrees(np.arctan2(np.abs(lateral), ahead))
+    return (off < degrees / 2 - 1e-9) | (degrees == ALL_AROUND), ahead**2 + lateral**2
 
 
-def _turned(cells: Bool[np.ndarray, "lateral ahead"]) -> Kernel:
+def _turned(cells: Bool[np.ndarray, "lateral ahead"], degrees: float | None = None) -> Kernel:
     """The kernel of these cells around the robot, turned to each of the four headings."""
     radius = len(cells) // 2
     headings = (np.argwhere(np.rot90(cells, -heading))[:, ::-1] - radius for heading in range(HEADINGS))
-    return Kernel(radius, tuple(tuple((dx, dy) for dx, dy in offsets.tolist()) for offsets in headings))
+    return Kernel(radius, tuple(tuple((dx, dy) for dx, dy in offsets.tolist()) for offsets in headings), degrees)
 
 
 @functools.cache
-def field_of_view(radius: int) -> Kernel:
-    """The 90-degree field of view of range `radius` cells (paper, section IV-B).
+def field_of_view(radius: int, degrees: float = PAPER_DEGREES) -> Kernel:
+    """The field of view of range `radius` cells; 90 degrees wide in the paper (section IV-B).
 
-    A cell is seen iff its center is within `radius` of the robot's and strictly less than 45 degrees off the
-    heading, that is |lateral| < ahead; the robot's own cell always is.
+    A cell is seen iff its center is within `radius` of the robot's and strictly less than half of `degrees` off the
+    heading (for 90: |lateral| < ahead); the robot's own cell always is. With 360 degrees, all cells in range are seen.
 
     Raises:
-      InputError: `radius` is less than 1.
+      InputError: `radius` is less than 1, or `degrees` is not from 1 to 360.
     """
     check_number("sensing range", radius, whole=True, least=1)
-    wedge, squared = _window(radius)
-    return _turned((wedge & (squared <= radius**2)) | (squared == 0))
+    check_degrees("field of view", degrees)
+    wedge, squared = _window(radius, degrees)
+    return _turned((wedge & (squared <= radius**2)) | (squared == 0), degrees)
 
 
 @functools.cache
-def line_of_sight(radius: int) -> OccludedKernel:
+def line_of_sight(radius: int, degrees: float = PAPER_DEGREES) -> OccludedKernel:
     """The field of view with occlusion: houses, trees and other opaque cells hide what is behind them."""
-    return OccludedKernel(radius, field_of_view(radius).offsets)
+    return OccludedKernel(radius, field_of_view(radius, degrees).offsets, degrees)
 
 
 @functools.cache

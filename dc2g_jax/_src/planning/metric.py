@@ -101,8 +101,9 @@ class MetricPlanner:
         whatever the side of a cell.
       cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
         narrowest passage, so that a cell fits into it.
-      sensing_range: range of the robot's 90-degree field of view, in meters; walls hide what is behind them. The
-        whole cells in it count, up to 64.
+      sensing_range: range of the robot's field of view, in meters; walls hide what is behind them. The whole cells in
+        it count, up to 64.
+      field_of_view: width of the robot's field of view in degrees, 1 to 360; `None` for that of the planner, or 90.
       smallest_cell: side of the smallest cells after halving, in meters, rounded up to whole pixels; `None` for a
         quarter of `cell_size`. Passages at least twice as wide as these cells are found, or three times where they run
         diagonally.
@@ -122,6 +123,7 @@ class MetricPlanner:
         *,
         cell_size: float,
         sensing_range: float,
+        field_of_view: float | None = None,
         smallest_cell: float | None = None,
         labels: Mapping[int, str] | None = None,
         network: Estimator | str | Path | None = None,
@@ -139,6 +141,7 @@ class MetricPlanner:
             network=network,
             open_ended=True,
             settings="occluded",
+            field_of_view=field_of_view,
         )
         self._sensing_range, self._largest = sensing_range, largest
         self._fixed_reach: int | None = None

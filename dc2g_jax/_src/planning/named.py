@@ -84,6 +84,7 @@ def make_planner(
     network: Estimator | str | os.PathLike[str] | None = None,
     settings: str | Settings = "paper",
     sensing_range: int | None = None,
+    field_of_view: float | None = None,
 ) -> PlannerLike:
     """Make a planner by name.
 
@@ -97,12 +98,13 @@ def make_planner(
         `estimation.hub.load_network`; `None` for the shipped network.
       settings: the rules, one of `planning.rules.SETTINGS` or its name.
       sensing_range: range of the field of view in cells; `None` for the default of the settings.
+      field_of_view: width of the field of view in degrees, 1 to 360; `None` for that of the settings, 90.
 
     Raises:
-      InputError: the planner or the settings are unknown, the sensing range is out of bounds, or the network cannot be
-        read.
+      InputError: the planner or the settings are unknown, the sensing range or the field of view is out of bounds, or
+        the network cannot be read.
     """
-    rules = named_settings(settings).rules(sensing_range)
+    rules = named_settings(settings, field_of_view).rules(sensing_range)
     return planner_with(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
 
 

@@ -21,7 +21,7 @@ from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.poses import HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import check_sensing_range
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES, check_sensing_range
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
@@ -99,7 +99,8 @@ class OnlinePlanner:
       planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
       network: estimator of a planner by name, or the place of a trained network, see `estimation.hub.load_network`;
         `None` for the shipped one.
-      sensing_range: range of the robot's 90-degree field of view, in cells, 1 to 64.
+      sensing_range: range of the robot's field of view, in cells, 1 to 64.
+      field_of_view: width of the robot's field of view in degrees, 1 to 360; `None` for that of the settings, 90.
       largest: rows and columns of the largest map.
       open_ended: whether the world continues beyond the map's edges. If so, the robot explores across them too.
         Otherwise the map's size is the world's, and there is nothing to observe beyond it.
@@ -120,6 +121,7 @@ class OnlinePlanner:
         *,
         network: Estimator | str | Path | None = None,
         sensing_range: int = 8,
+        field_of_view: float | None = None,
         largest: tuple[int, int] = (100, 100),
         open_ended: bool = False,
         settings: str = "paper",
@@ -132,10 +134,16 @@ class OnlinePlanner:
         if isinstance(planner, str):
             if ":" not in planner:
                 check_name("planner for a robot", planner, ONLINE_PLANNERS, "or one of your own")
-            planner = make_planner(planner, network=network, settings=settings, sensing_range=sensing_range)
-        self.rules: Rules = getattr(planner, "rules", complete_rules(sensing_range))
-        if (own := self.rules.sensing.radius) != sensing_range:
-            raise InputError(f"sensing_range {sensing_range}: the planner's rules say {own}; give that")
+            planner = make_planner(
+                planner, network=network, settings=settings, sensing_range=sensing_range, field_of_view=field_of_view
+            )
+        asked = complete_rules(sensing_range, degrees=PAPER_DEGREES if field_of_view is None else field_of_view)
+        self.rules: Rules = getattr(planner, "rules", asked)
+        if (own := self.rules.sensing).radius != sensing_range:
+            raise InputError(f"sensing_range {sensing_range}: the planner's rules say {own.radius}; give that")
+        if field_of_view is not None and own.offsets != asked.sensing.offsets:
+            theirs = "another" if own.degrees is None else f"{own.degrees:g} degrees"
+            raise InputError(f"field_of_view {field_of_view:g}: the planner's rules say {theirs}; leave it out")
         self._planner = memoryless(planner)
         self._last: tuple[Any, tuple[RobotPose, ...]] | None = None  # the last map, and the path of the decision on it
         self.largest = rows, columns

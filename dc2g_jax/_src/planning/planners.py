@@ -195,10 +195,16 @@ def sensing_of(planner: PlannerLike, given: Kernel | None = None, name: str | No
     if sensing is None:
         raise InputError(f"{who}: has no rules that tell what its robots see; give sensing")
     if given not in (None, sensing):
-        kind = "" if sensing.radius != given.radius else " of another kind"
+        own, others = f"{sensing.radius} cells", str(given.radius)
+        remedy = "settings and sensing_range"
+        if None not in (sensing.degrees, given.degrees) and sensing.degrees != given.degrees:
+            own, others = f"{own} and {sensing.degrees:g} degrees", f"{others} and {given.degrees:g}"
+            remedy = "settings, sensing_range and field_of_view"
+        elif sensing.radius == given.radius:
+            others += " of another kind"
         raise InputError(
-            f"{who}: was made for a field of view of {sensing.radius} cells, and the robots here have one of "
-            f"{given.radius}{kind}; make it with the same settings and sensing_range"
+            f"{who}: was made for a field of view of {own}, and the robots here have one of {others}; make it with the "
+            f"same {remedy}"
         )
     return sensing
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -10,7 +11,15 @@ from dc2g_jax._src.grid import bitboard, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, every_heading, with_headings
-from dc2g_jax._src.grid.sensing import Kernel, check_sensing_range, expanding_kernel, field_of_view, line_of_sight
+from dc2g_jax._src.grid.sensing import (
+    PAPER_DEGREES,
+    Kernel,
+    check_degrees,
+    check_sensing_range,
+    expanding_kernel,
+    field_of_view,
+    line_of_sight,
+)
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.runtime.errors import InputError, short
 from dc2g_jax._src.runtime.own_parts import own_part
@@ -55,15 +64,21 @@ def first_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
     return with_headings(soonest, bitboard.single(x, y, *reachable.shape[:2]))
 
 
-@functools.cache
-def complete_rules(sensing_range: int, view: Callable[[int], Kernel] = field_of_view) -> Rules:
+def complete_rules(
+    sensing_range: int, view: Callable[[int, float], Kernel] = field_of_view, degrees: float = PAPER_DEGREES
+) -> Rules:
     """The rules of the paper's text, with a guarantee that exploration ends.
 
     Args:
-      sensing_range: range of the 90-degree field of view, in cells.
-      view: range -> field of view: `field_of_view`, as in the paper, or `line_of_sight`.
+      sensing_range: range of the field of view, in cells.
+      view: `(range, degrees) ->` field of view: `field_of_view`, as in the paper, or `line_of_sight`.
+      degrees: width of the field of view, 1 to 360.
     """
-    sensing = view(sensing_range)
+    return _complete_rules(view(sensing_range, degrees))
+
+
+@functools.cache
+def _complete_rules(sensing: Kernel) -> Rules:
     return Rules(
         sensing=sensing,
         frontier_expanding=functools.partial(frontiers.complete, sensing=sensing),
@@ -99,13 +114,16 @@ class Settings:
       name: name for users.
       sensing_range: default range of the field of view, in cells.
       expanding_range: default range of the frontier-expanding kernel, in cells; `None` for the sensing range.
-      make_rules: `(sensing range, expanding range or None) ->` rules.
+      make_rules: `(sensing range, expanding range or None) ->` rules. If it takes `degrees`, the width of the field of
+        view, it is called with that too.
+      field_of_view: width of the field of view in degrees, 1 to 360.
     """
 
     name: str
     sensing_range: int
     expanding_range: int | None
-    make_rules: Callable[[int, int | None], Rules] = dataclasses.field(repr=False)
+    make_rules: Callable[..., Rules] = dataclasses.field(repr=False)
+    field_of_view: float = PAPER_DEGREES
 
     def rules(self, sensing_range: int | None = None, expanding_range: int | None = None) -> Rules:
         """The rules for these ranges. `None` stands for the default.
@@ -114,21 +132,41 @@ class Settings:
         equals the sensing range.
 
         Raises:
-          InputError: a range is out of bounds, or an expanding range is given for rules without a frontier-expanding
-            kernel.
+          InputError: a range or the field of view is out of bounds, the rules do not take another field of view, or an
+            expanding range is given for rules without a frontier-expanding kernel.
         """
         if sensing_range is not None:
             check_sensing_range("sensing range", sensing_range)
         if sensing_range in (None, self.sensing_range):
             sensing_range = self.sensing_range
             expanding_range = self.expanding_range if expanding_range is None else expanding_range
-        rules = self.make_rules(sensing_range, expanding_range)
+        rules = self._make(sensing_range, expanding_range)
         if expanding_range is not None and rules.expanding_range is None:
             raise InputError(
                 f"expanding range {expanding_range}: the settings {self.name!r} have no frontier-expanding kernel; "
                 "leave expanding_range out, or take the settings 'published' or 'reference'"
             )
         return rules
+
+    @functools.cached_property
+    def _make(self) -> Callable[[int, int | None], Rules]:
+        """`make_rules` with the field of view."""
+        check_degrees("field of view", self.field_of_view)
+        try:
+            inspect.signature(self.make_rules).bind(1, None, degrees=self.field_of_view)
+        except (TypeError, ValueError):  # it takes no such argument, or is built in
+            if self.field_of_view == PAPER_DEGREES:
+                return self.make_rules
+            raise InputError(
+                f"field of view {self.field_of_view:g}: the settings {self.name!r} have {PAPER_DEGREES:g} degrees "
+                "only; take the settings 'paper' or 'occluded'"
+            ) from None
+        return functools.partial(self.make_rules, degrees=float(self.field_of_view))
+
+
+def _paper(view: Callable[[int, float], Kernel]) -> Callable[..., Rules]:
+    """`Settings.make_rules` of the paper's text."""
+    return lambda sensing_range, _, degrees=PAPER_DEGREES: complete_rules(sensing_range, view, degrees)
 
 
 #: Settings by name: those of the 400 published episodes; the authors' code at any range; the paper's text; and the
@@ -138,25 +176,33 @@ SETTINGS = {
     for settings in (
         Settings("published", 5, 4, reference_rules),
         Settings("reference", 8, None, reference_rules),
-        Settings("paper", 8, None, lambda sensing_range, _: complete_rules(sensing_range)),
-        Settings("occluded", 8, None, lambda sensing_range, _: complete_rules(sensing_range, line_of_sight)),
+        Settings("paper", 8, None, _paper(field_of_view)),
+        Settings("occluded", 8, None, _paper(line_of_sight)),
     )
 }
 
 
-def named_settings(settings: str | Settings) -> Settings:
+def named_settings(settings: str | Settings, field_of_view: float | None = None) -> Settings:
     """Settings by name, one of `SETTINGS` or `package.module:Name`. `Settings` are returned as they are.
 
+    Args:
+      settings: the name, or `Settings`.
+      field_of_view: width of the field of view in degrees, 1 to 360; `None` for that of the settings.
+
     Raises:
-      InputError: the name is unknown, or there are no `Settings` of that name.
+      InputError: the name is unknown, there are no `Settings` of that name, or their rules do not take this field of
+        view.
     """
     if isinstance(settings, Settings):
-        return settings
-    if settings in SETTINGS:
-        return SETTINGS[settings]
-    found = own_part("set of rules", settings, SETTINGS)
+        found = settings
+    else:
+        found = SETTINGS.get(settings) or own_part("set of rules", settings, SETTINGS)
     if not isinstance(found, Settings):
         raise InputError(
             f"set of rules {settings!r}: is {short(found)}; give an instance of dc2g_jax.planning.Settings"
         )
+    if field_of_view is None:
+        return found
+    found = dataclasses.replace(found, field_of_view=field_of_view)
+    found.rules()  # raises at once
     return found

@@ -286,6 +286,7 @@ def evaluate(
     seed: int = 0,
     settings: str | Settings = "paper",
     sensing_range: int | None = None,
+    field_of_view: float | None = None,
     network: Network | Mapping[str, Network] | Sequence[str | os.PathLike[str]] = None,
     step_limit: int | None = None,
     progress: Callable[[str, int, int], None] | bool = True,
@@ -311,6 +312,7 @@ def evaluate(
       seed: seed of the sampled starts.
       settings: the rules, one of `dc2g_jax.SETTINGS` or its name.
       sensing_range: range of the field of view in cells, for starts without one; `None` for the settings' default.
+      field_of_view: width of the field of view in degrees, 1 to 360; `None` for that of the settings, 90.
       network: network of the planners that need one: an estimator or the folder of a trained network; `None` for the
         shipped network. Several of them, as a mapping from a name of your choice or as a list of folders, are compared:
         planners that need a network are run with each, and called `dc2g (name)` in the results.
@@ -333,7 +335,7 @@ def evaluate(
         planners = {name: name for name in planners}
     sources = [source for source in planners.values() if isinstance(source, str)]
     check_names(sources)
-    settings = named_settings(settings)
+    settings = named_settings(settings, field_of_view)
     settings.rules(sensing_range)
     estimator = open_networks(network) if NETWORK_PLANNERS.keys() & set(sources) else None
     if not isinstance(dataset, HouseDataset | str | os.PathLike | None):

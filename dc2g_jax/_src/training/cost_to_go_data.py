@@ -19,7 +19,7 @@ from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.label_noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax._src.grid.sampling import sample_grid
-from dc2g_jax._src.grid.sensing import check_sensing_range, field_of_view
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES, check_degrees, check_sensing_range, field_of_view
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset, stack_worlds, tell_on_stderr
@@ -56,6 +56,7 @@ class DataConfig:
       starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: number of moments of each episode that become observation masks.
       ranges: sensing ranges, in cells, of the robots that collect the masks.
+      field_of_view: width of their field of view in degrees; validation stays at the paper's 90.
       own_share: share of a batch drawn from the dataset's houses rather than procedural ones, 0 to 1.
       edge_weight: loss weight of cells within 2 cells of unobserved ground; others have weight 1.
       half_weight_cost: cost-to-go, in cells, at which a cell has half the weight of a goal; `inf` for equal weights.
@@ -71,6 +72,7 @@ class DataConfig:
     starts_per_extra_house: int = 1
     masks_per_episode: int = 4
     ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
+    field_of_view: float = PAPER_DEGREES
     own_share: float = 0.4
     edge_weight: float = 4.0
     half_weight_cost: float = 16.0
@@ -85,6 +87,7 @@ class DataConfig:
             raise InputError("sensing ranges: give one at least")
         for sensing_range in self.ranges:
             check_sensing_range("sensing range", sensing_range)
+        check_degrees("field of view", self.field_of_view)
         for name, least in (
             ("extra_houses", 0), ("starts_per_house", 1), ("starts_per_extra_house", 1), ("masks_per_episode", 1),
         ):  # fmt: skip
@@ -226,12 +229,12 @@ def observation_masks(
     rollouts = len(config.ranges) * (LEADERS if network is None else 1)
     on_progress(0, rollouts)
     for place, sensing_range in enumerate(config.ranges):
-        view, sensing = None, field_of_view(sensing_range)
+        view, sensing = None, field_of_view(sensing_range, config.field_of_view)
         if network is None:
-            view = View(jnp.int32(ranges.index(sensing_range)), ranges)
+            view = View(jnp.int32(ranges.index(sensing_range)), ranges, config.field_of_view)
             leaders, sensing = leading_planners(view, *houses[0].terrain.shape, seed=config.data_seed), view.widest
         else:
-            leaders = [planner_with("dc2g", complete_rules(sensing_range), network)]
+            leaders = [planner_with("dc2g", complete_rules(sensing_range, degrees=config.field_of_view), network)]
         for turn, planner in enumerate(leaders):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
             starts = sample_starts(houses[:n_own], config.starts_per_house or 1, seed=seed)

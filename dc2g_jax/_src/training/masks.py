@@ -1,6 +1,7 @@
 """Observation masks: what robots have seen at moments of rollouts, instead of the hand-drawn masks of Algorithm 1."""
 
 import functools
+import itertools
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,7 +18,7 @@ from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, belief_of
 from dc2g_jax._src.grid.poses import HEADINGS, Pose, PoseSet, every_heading
-from dc2g_jax._src.grid.sensing import Kernel, covered, field_of_view, kernel_runs
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES, Kernel, covered, field_of_view, kernel_runs
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import DC2G, Ask, Assessment, Planner, PlannerLike
 from dc2g_jax._src.planning.rules import Rules, nearest_goal
@@ -43,9 +44,9 @@ def _smooth_noise(rng: np.random.Generator, height: int, width: int) -> Float[np
 
 
 @functools.cache
-def _rings(ranges: tuple[int, ...]) -> tuple[Kernel, ...]:
+def _rings(ranges: tuple[int, ...], degrees: float) -> tuple[Kernel, ...]:
     """For each of ascending ranges, the offsets that a robot with the range before it does not see."""
-    kernels = [field_of_view(one).offsets for one in ranges]
+    kernels = [field_of_view(one, degrees).offsets for one in ranges]
     less = [((),) * HEADINGS, *kernels[:-1]]
     return tuple(
         Kernel(radius, tuple(tuple(sorted({*own} - {*inner})) for own, inner in zip(offsets, nearer, strict=True)))
@@ -60,15 +61,17 @@ class View:
     Attributes:
       number: index of the range.
       ranges: the ranges, ascending, in cells.
+      degrees: width of all of them.
     """
 
     number: Int[Array, ""]
     ranges: tuple[int, ...] = struct.field(pytree_node=False)
+    degrees: float = struct.field(pytree_node=False, default=PAPER_DEGREES)
 
     @property
     def widest(self) -> Kernel:
         """The field of view of the largest range."""
-        return field_of_view(self.ranges[-1])
+        return field_of_view(self.ranges[-1], self.degrees)
 
     @property
     def offsets(self) -> tuple[tuple[tuple[int, int], ...], ...]:
@@ -78,13 +81,16 @@ class View:
     def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
         """See `grid.sensing.Kernel.visible`."""
         radius = self.widest.radius
-        tables = [kernel_runs(Kernel(radius, field_of_view(one).offsets)) for one in self.ranges]
-        runs = jnp.asarray(np.array(tables))[self.number]
+        tables = [kernel_runs(Kernel(radius, field_of_view(one, self.degrees).offsets)) for one in self.ranges]
+        # Some ranges have fewer runs than others: the rest are empty.
+        empty = np.zeros_like(tables[0][0]) - np.array([0, 1], np.int32)[:, None, None]
+        together = itertools.zip_longest(*tables, fillvalue=empty)
+        runs = [jnp.asarray(np.array(of_all))[self.number] for of_all in together]
         return covered(pose, radius, runs, opaque.shape[0], opaque.shape[1], width)
 
     def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
         """See `grid.sensing.Kernel.poses_that_see`."""
-        seeing = [ring.poses_that_see(targets, opaque) for ring in _rings(self.ranges)]
+        seeing = [ring.poses_that_see(targets, opaque) for ring in _rings(self.ranges, self.degrees)]
         within = [jnp.where(index <= self.number, poses, 0) for index, poses in enumerate(seeing)]
         return functools.reduce(jnp.bitwise_or, within)
 

@@ -22,6 +22,7 @@ from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES
 from dc2g_jax._src.planning.learned_score import TERMS
 from dc2g_jax._src.readers.houses import SPLITS, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import usable_houses
@@ -173,7 +174,8 @@ def train_runs(
         made = {
             "data": f"{plan.dataset.name}, training split, and {plan.data.extra_houses} procedural houses (seed "
             f"{plan.data.data_seed})",
-            "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, plan.data.ranges))} cells",
+            "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, plan.data.ranges))} cells"
+            + (f" and {degrees:g} degrees" if (degrees := plan.data.field_of_view) != PAPER_DEGREES else ""),
             "target": "4-connected cost-to-go in cells",
             "loss": losses_as_text([(name, weight) for name, weight in config.losses if weight]),
             "learning_rate": config.learning_rate,

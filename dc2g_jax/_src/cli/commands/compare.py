@@ -11,11 +11,12 @@ from typing import Annotated, Literal
 
 import tyro
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests
+from dc2g_jax._src.cli.common import FieldOfViewOption, PlannersOption, SettingsOption, check_planners, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax._src.cli.outputs import command_written, output_folder, print_files
 from dc2g_jax._src.figures.results_figures import plot_leaderboard
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.families import FAMILIES, family_of, gather
@@ -45,6 +46,7 @@ class Options(NetworksOptions, OutOptions, ResumeOptions):
       most_cells: largest number of cells of a map. Of a family with maps of several sizes, those of the largest size
         are taken.
       settings: rules, see `run`.
+      field_of_view: width of the robots' field of view in degrees, see `run`.
       seed: seed of the starts.
     """
 
@@ -55,6 +57,7 @@ class Options(NetworksOptions, OutOptions, ResumeOptions):
     starts: int = 112
     most_cells: int = 100 * 75
     settings: SettingsOption = "paper"
+    field_of_view: FieldOfViewOption = None
     seed: int = 0
 
 
@@ -69,7 +72,7 @@ def main(options: Options) -> None:
         )
     if not options.family:
         raise InputError("--family: is empty; give a family of maps")
-    settings = named_settings(options.settings)
+    settings = named_settings(options.settings, options.field_of_view)
     dataset = gather(options.family, options.split, options.maps, options.most_cells)
     network = options.open(options.planner)
     planners = by_name(options.planner, network)
@@ -99,10 +102,13 @@ def main(options: Options) -> None:
     (out / "images").mkdir(exist_ok=True)
     plot_leaderboard(out / "images" / "leaderboard", families)
     command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", command_written())
+    degrees = settings.field_of_view
+    wide = "" if degrees == PAPER_DEGREES else f" over {degrees:g} degrees"
+    sees = f"{settings.sensing_range}-cell sensing{wide}"
     text = page(
         families,
         _about(planners),
-        settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
+        settings=f"Settings `{options.settings}`,\n{sees}, split `{options.split}`.",
         how=f"{len(results):,} episodes of {len(planners)} planners in {len(families)} "
         f"{'family' if len(families) == 1 else 'families'}: `{command}` ({began:%Y-%m-%d}).",
         figure="images/leaderboard.png",

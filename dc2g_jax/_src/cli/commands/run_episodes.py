@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, digests
+from dc2g_jax._src.cli.common import FieldOfViewOption, PlannersOption, SettingsOption, check_planners, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder
@@ -34,11 +34,13 @@ class Options(DatasetOptions, NetworksOptions, StepLimitOptions, OutOptions, Res
         authors' code, any range. `paper`: those of the paper's text, 8-cell sensing. `occluded`: the same, but houses,
         trees and other tall objects hide what is behind them. package.module:Name for `Settings` of your own. A range
         in the file takes precedence.
+      field_of_view: width of the robots' field of view in degrees, up to 360; for `published` and `reference` 90 only.
     """
 
     starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
     planner: PlannersOption = ("oracle", "frontier", "dc2g")
     settings: SettingsOption = "paper"
+    field_of_view: FieldOfViewOption = None
 
 
 def main(options: Options) -> None:
@@ -47,7 +49,7 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
     network = options.open(options.planner)
-    settings = named_settings(options.settings)
+    settings = named_settings(options.settings, options.field_of_view)
     runner = Runner(dataset, settings, step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
         runner.rules(start)  # an invalid range raises before anything is written
