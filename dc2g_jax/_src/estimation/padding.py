@@ -20,7 +20,7 @@ from dc2g_jax._src.grid.terrain import OUTSIDE
 
 @struct.dataclass
 class PaddedNetwork(Estimator):
-    """A trained network for maps in a larger grid, one at a time.
+    """A trained network for maps of one size in a larger grid.
 
     Attributes:
       network: the network.
@@ -35,17 +35,13 @@ class PaddedNetwork(Estimator):
         return PaddedNetwork(self.network.summarized(summary))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
-        """The network's estimate for the map in a grid, in cells; undefined for `OUTSIDE` cells.
-
-        A batch holds one map.
-        """
+        """The network's estimate for the maps in a grid, in cells; undefined for `OUTSIDE` cells."""
         del state
-        (grid,) = jnp.moveaxis(terrain.reshape(*terrain.shape[:2], -1), -1, 0)
-        architecture = self.network.architecture
-        shrunk, map_shape, cells, cell_side = _shrunk(grid, architecture.side)
+        grids, architecture = jnp.moveaxis(terrain.reshape(*terrain.shape[:2], -1), -1, 0), self.network.architecture
+        shrunk, map_shape, (rows, columns), cell_side = _shrunk(grids, architecture.side)
         network = with_weights(CompactUNet, architecture, self.network.weights)
-        answer = cell_side * network(shrunk[None], map_shape)[0][cells]
-        return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
+        answer = cell_side * network(shrunk, map_shape)[:, rows, columns]
+        return zero_without_classes(terrain, jnp.moveaxis(answer, (-1, 0), (0, -1)).reshape(-1, *terrain.shape))
 
 
 def padded(estimator: Estimator) -> Estimator:
@@ -54,27 +50,27 @@ def padded(estimator: Estimator) -> Estimator:
 
 
 def _shrunk(
-    grid: UInt8[Array, "h w"], side: int
+    grids: UInt8[Array, "b h w"], side: int
 ) -> tuple[
-    UInt8[Array, "h2 w2"], tuple[Int[Array, ""], Int[Array, ""]], tuple[Int[Array, "h 1"], Int[Array, "w"]], Array
+    UInt8[Array, "b h2 w2"], tuple[Int[Array, ""], Int[Array, ""]], tuple[Int[Array, "h 1"], Int[Array, "w"]], Array
 ]:
-    """The map in a grid, resampled if its longer side has more than `side` cells.
+    """Maps of one size in a grid, resampled if their longer side has more than `side` cells.
 
     Returns:
-      The new grid, with the map in its upper left corner; the map's new size; row and column there of each cell of the
-      old grid; and the side length of a new cell, in old cells.
+      The new grids, with the maps in their upper left corners; the maps' new size; row and column there of each cell of
+      the old grid; and the side length of a new cell, in old cells.
     """
-    inside = grid != OUTSIDE
+    inside = grids[0] != OUTSIDE
     sizes = [jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0)]
     longest = jnp.maximum(jnp.maximum(*sizes), side)
     new_sizes = (-(-sizes[0] * side // longest), -(-sizes[1] * side // longest))
     read, there, back = [], [], []
-    for size, new_size, grid_size in zip(sizes, new_sizes, grid.shape, strict=True):
+    for size, new_size, grid_size in zip(sizes, new_sizes, inside.shape, strict=True):
         new = jnp.arange(min(grid_size, side))
         read.append(nearest_pixel(new, size, new_size))
         there.append(new < new_size)
         back.append(jnp.clip(nearest_pixel(jnp.arange(grid_size), new_size, size), 0, new_size - 1))
-    shrunk = jnp.where(there[0][:, None] & there[1], grid[read[0][:, None], read[1]], jnp.uint8(OUTSIDE))
+    shrunk = jnp.where(there[0][:, None] & there[1], grids[:, read[0][:, None], read[1]], jnp.uint8(OUTSIDE))
     return shrunk, new_sizes, (back[0][:, None], back[1]), longest / side
 
 

@@ -213,8 +213,13 @@ class BothViews(Estimator):
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
         """The mean. The grid may be larger than the map."""
         inside = terrain != OUTSIDE
-        turned = self.estimator.estimate(mirrored(terrain, (1,), inside, 0), state)
-        return (self.estimator.estimate(terrain, state) + mirrored(turned, (1,), inside, 1)) / 2
+        # In one batch, so that a program holds the network once.
+        terrain, state = jax.tree.map(
+            lambda own, turned: jnp.stack([own, turned], axis=-1),
+            (terrain, state), (mirrored(terrain, (1,), inside, 0), state),
+        )  # fmt: skip
+        answers = self.estimator.estimate(terrain, state)
+        return (answers[..., 0] + mirrored(answers[..., 1], (1,), inside, 1)) / 2
 
 
 @struct.dataclass

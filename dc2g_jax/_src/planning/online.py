@@ -44,8 +44,9 @@ from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_opera
 #: Planners that only need the robot's map, and no memory.
 ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
 
-#: Side length of the smallest compiled grid, in cells. Each further one is twice as large.
-_SMALLEST_GRID = 32
+#: Side length of the smallest compiled grid, in cells; each further one is four times as large, and the largest more
+#: than twice. They are few: each takes some seconds to compile.
+_SMALLEST_GRID = 128
 
 #: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
 #: cells; with this margin, even the smallest map looks like one of them.
@@ -89,11 +90,11 @@ class OnlinePlanner:
     the last decision keeps its subgoal. So exploration ends if the robot observes everything in its field of view at
     every pose that it reaches. Mark cells that its sensor cannot classify as `nothing`.
 
-    Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
-    longer sensing ranges. The programs are kept on disk (see
-    `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the
-    start, and decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your
-    own get grids of exactly the map's size; each new size is compiled.
+    Creating the planner compiles a program for its largest grid; beyond 256 cells a side, also for smaller ones. Each
+    takes five to ten seconds of a core, and longer for longer sensing ranges. The programs are kept on disk (see
+    `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the start, and
+    decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your own get grids
+    of exactly the map's size; each new size is compiled.
 
     Args:
       planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
@@ -206,8 +207,8 @@ class OnlinePlanner:
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:
     """Shapes of the compiled grids, ascending: squares, limited to the largest shape."""
-    doubled = (_SMALLEST_GRID << doublings for doublings in itertools.count())
-    sides = itertools.takewhile(lambda side: side < max(rows, columns), doubled)
+    fourfold = (_SMALLEST_GRID * 4**number for number in itertools.count())
+    sides = itertools.takewhile(lambda side: 2 * side < max(rows, columns), fourfold)
     return [*((min(side, rows), min(side, columns)) for side in sides if side > larger_than), (rows, columns)]
 
 
