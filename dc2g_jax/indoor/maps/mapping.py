@@ -38,7 +38,9 @@ FOOTROOM = 0.6
 _VOTE_BITS, _LEAST_SHARE = 2, 0.2
 
 if _VOTE_BITS * SEMANTIC_CLASSES > 32:
-    raise ValueError(f"{SEMANTIC_CLASSES} indoor classes: the votes of a cell have 32 bits, so merge some, {32 // _VOTE_BITS} are possible")
+    raise ValueError(
+        f"{SEMANTIC_CLASSES} indoor classes: the votes of a cell have 32 bits, so merge some, 16 are possible"
+    )
 
 
 @struct.dataclass
