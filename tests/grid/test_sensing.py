@@ -115,8 +115,8 @@ def test_what_is_seen_at_any_angle(view, examples):
         x, y, heading = rng.integers(0, [[width], [height], [4]], (3, 8))
         seen = kernel.visible(make_pose(x, y, heading), jnp.stack([walls] * 8, axis=-1), width)
         seen = np.moveaxis(np.asarray(bitboard.unpack(seen, width)), -1, 0)
-        # These take a second to compile.
-        whole = (seed % 4 == 0) * [kernel]
+        # These take a second to compile: 27 of 300.
+        whole = (seed % (4 if seed < 12 else 12) == 0) * [kernel]
         seeing = [poses.unpack(one.poses_that_see(boards, walls), width) for one in whole]
         counts = [one.count_seen(boards, walls, width) for one in whole]
         for number, pose in enumerate(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True)):
