@@ -402,7 +402,7 @@ def _field_of_view(pose: planning.RobotPose, sensing_range: int, degrees: float)
     reach, half = sensing_range + 0.5, np.radians(degrees / 2)
     ahead, aside = reach * np.cos(half), reach * np.sin(half)
     outline = f"M0 0L{ahead:.2f} {-aside:.2f}A{reach} {reach} 0 {degrees > 180:d} 1 {ahead:.2f} {aside:.2f}Z"
-    if degrees == 360:  # an arc does not end where it starts
+    if degrees == 360:  # one SVG arc cannot end where it starts
         outline = f"M{-reach} 0" + "".join(f"A{reach} {reach} 0 0 1 {end} 0" for end in (reach, -reach)) + "Z"
     return (
         f'<path d="{outline}" transform="translate({pose.x + 0.5} {pose.y + 0.5}) rotate({90 * pose.heading})" '

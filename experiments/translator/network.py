@@ -2,9 +2,9 @@
 
 Details that the paper leaves open follow the implementation it names, Hesse's pix2pix in TensorFlow: 4x4 convolutions,
 weights with standard deviation 0.02, and normalization by the statistics of a batch of one image, which is instance
-normalization. Two things differ in the networks. The innermost feature is not normalized: it is a single pixel, whose
-normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; there, it stays on.
-Four more differ in the data, see `docs/how_it_works/estimator.md`.
+normalization. There are two differences. The innermost feature is not normalized: it is a single pixel, whose
+normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; in Hesse's, it stays on.
+Four more differences are in the data, see `docs/how_it_works/estimator.md`.
 """
 
 import dataclasses

@@ -25,7 +25,7 @@ from dc2g_jax._src.runtime.programs import apart
 #: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
 MAX_SENSING_RANGE = 64
 
-#: Width of the paper's field of view, and of one all around, in degrees.
+#: Width of the paper's field of view, and of one that covers all directions, in degrees.
 PAPER_DEGREES, ALL_AROUND = 90.0, 360.0
 
 
@@ -66,7 +66,7 @@ class Kernel:
     Attributes:
       radius: bound on the absolute offsets along x and y, in cells.
       offsets: the offsets `(dx, dy)` of each of the four headings.
-      degrees: the angle that the offsets come from, for messages; `None` if they come from another rule.
+      degrees: width of the field of view that the offsets make up, for messages; `None` if they make up another shape.
     """
 
     radius: int
@@ -99,11 +99,11 @@ class Kernel:
 
     @property
     def _all_around(self) -> bool:
-        """Whether the same is seen in all headings."""
+        """Whether the robot sees the same cells in all headings."""
         return len({frozenset(offsets) for offsets in self.offsets}) == 1
 
     def _stacked(self, of: Callable[[tuple[tuple[int, int], ...], Array], Array], cells: Array) -> Array:
-        """`of(offsets, cells)` for each heading, computed once if the same is seen in all."""
+        """`of(offsets, cells)` for each heading, computed once if all headings have the same offsets."""
         if self._all_around:
             every = apart(functools.partial(of, self.offsets[0]), cells)
             return jnp.broadcast_to(every, (HEADINGS, *every.shape))
@@ -179,7 +179,7 @@ class OccludedKernel(Kernel):
         hides = is_opaque(jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)) & inside
         # The robot's own cell comes first and hides nothing.
         seen = jnp.concatenate([jnp.ones_like(hides[:1]), ~hides[1:]])[parents]
-        # Twice as many steps toward the robot each time. There are no more than the distance along x or y.
+        # Each round looks twice as many steps toward the robot. There are never more steps than `radius`.
         for _ in range((self.radius - 1).bit_length()):
             seen &= seen[parents]
             parents = parents[parents]
@@ -208,7 +208,7 @@ class OccludedKernel(Kernel):
         height = opaque.shape[1]
         dx, dy, _ = self._tree()
         headings = slice(1 if self._all_around else HEADINGS)
-        # A branch of the tree is done before the next begins, so there is one slot for each depth.
+        # The offsets are in depth-first order, so one slot for each depth is enough.
         depth = np.maximum(np.abs(dx), np.abs(dy))
         reach = range(-self.radius, self.radius + 1)
         framed = [(0, 0), (self.radius, self.radius)] + [(0, 0)] * (opaque.ndim - 2)
@@ -236,15 +236,15 @@ class OccludedKernel(Kernel):
     ) -> tuple[Int[np.ndarray, "heading offsets"], Int[np.ndarray, "heading offsets"], Int[np.ndarray, "offsets"]]:
         """Columns and rows of the offsets in all headings, and their parents' indices.
 
-        The robot's own cell comes first, and each other one after its parent and all that is seen through the parent's
-        earlier children.
+        They are in depth-first order: the robot's own cell comes first, and each other cell comes after its parent and
+        after everything that is seen through the parent's earlier children.
         """
         # Heading 0 looks along x: its offsets are cells ahead and aside. The other headings have them turned.
         in_view = frozenset(self.offsets[0])
 
         @functools.cache
         def path(offset: tuple[int, int]) -> tuple[tuple[int, int], ...]:
-            """From the robot's own cell to the offset."""
+            """The offsets from the robot's own cell to this one."""
             if offset == (0, 0):
                 return (offset,)
             return *path(next(filter(in_view.__contains__, _toward_the_robot(*offset)))), offset
@@ -258,11 +258,11 @@ class OccludedKernel(Kernel):
 
 
 def _toward_the_robot(ahead: int, lateral: int) -> list[tuple[int, int]]:
-    """The parent of an offset other than (0, 0): one cell nearer along the longer axis, next to the line to the robot.
+    """Two choices for the parent of an offset other than (0, 0), both one cell nearer along the longer axis.
 
     Returns:
-      The nearest cell to the line, of two the one nearer to the longer axis; and where that may be out of view, the
-      nearest one on the side of the heading.
+      The cell nearest to the straight line to the robot; of two, the one nearer to the longer axis. Then, in case that
+      one is out of view, the nearest cell on the heading's side of the line.
     """
     is_aside = abs(lateral) > abs(ahead)
     far, short = (lateral, ahead) if is_aside else (ahead, lateral)
@@ -292,7 +292,7 @@ def _turned(cells: Bool[np.ndarray, "lateral ahead"], degrees: float | None = No
 
 @functools.cache
 def field_of_view(radius: int, degrees: float = PAPER_DEGREES) -> Kernel:
-    """The field of view of range `radius` cells; 90 degrees wide in the paper (section IV-B).
+    """The field of view with a range of `radius` cells. In the paper it is 90 degrees wide (section IV-B).
 
     A cell is seen iff its center is within `radius` of the robot's and strictly less than half of `degrees` off the
     heading (for 90: |lateral| < ahead); the robot's own cell always is. With 360 degrees, all cells in range are seen.

@@ -213,7 +213,7 @@ class BothViews(Estimator):
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
         """The mean. The grid may be larger than the map."""
         inside = terrain != OUTSIDE
-        # In one batch, so that a program holds the network once.
+        # Both views are one batch, so that the compiled program contains the network only once.
         terrain, state = jax.tree.map(
             lambda own, turned: jnp.stack([own, turned], axis=-1),
             (terrain, state), (mirrored(terrain, (1,), inside, 0), state),

@@ -103,7 +103,7 @@ class MetricPlanner:
         narrowest passage, so that a cell fits into it.
       sensing_range: range of the robot's field of view, in meters; walls hide what is behind them. The whole cells in
         it count, up to 64.
-      field_of_view: width of the robot's field of view in degrees, 1 to 360; `None` for that of the planner, or 90.
+      field_of_view: width of the robot's field of view in degrees, 1 to 360; `None` for the planner's own, else 90.
       smallest_cell: side of the smallest cells after halving, in meters, rounded up to whole pixels; `None` for a
         quarter of `cell_size`. Passages at least twice as wide as these cells are found, or three times where they run
         diagonally.

@@ -44,8 +44,8 @@ from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_opera
 #: Planners that only need the robot's map, and no memory.
 ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
 
-#: Side length of the smallest compiled grid, in cells; each further one is four times as large, and the largest more
-#: than twice. They are few: each takes some seconds to compile.
+#: Side length of the smallest compiled grid, in cells. The sides of the next ones are four times as long each, and that
+#: of the largest is more than twice as long as the one before. There are few, as each takes some seconds to compile.
 _SMALLEST_GRID = 128
 
 #: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
@@ -90,8 +90,8 @@ class OnlinePlanner:
     the last decision keeps its subgoal. So exploration ends if the robot observes everything in its field of view at
     every pose that it reaches. Mark cells that its sensor cannot classify as `nothing`.
 
-    Creating the planner compiles a program for its largest grid; beyond 256 cells a side, also for smaller ones. Each
-    takes five to ten seconds of a core, and longer for longer sensing ranges. The programs are kept on disk (see
+    Creating the planner compiles a program for its largest grid and, beyond 256 cells a side, also for smaller ones.
+    Each takes five to ten seconds of CPU time, and more for longer sensing ranges. The programs are kept on disk (see
     `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the start, and
     decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your own get grids
     of exactly the map's size; each new size is compiled.
@@ -143,7 +143,7 @@ class OnlinePlanner:
         if (own := self.rules.sensing).radius != sensing_range:
             raise InputError(f"sensing_range {sensing_range}: the planner's rules say {own.radius}; give that")
         if field_of_view is not None and own.offsets != asked.sensing.offsets:
-            theirs = "another" if own.degrees is None else f"{own.degrees:g} degrees"
+            theirs = "something else" if own.degrees is None else f"{own.degrees:g} degrees"
             raise InputError(f"field_of_view {field_of_view:g}: the planner's rules say {theirs}; leave it out")
         self._planner = memoryless(planner)
         self._last: tuple[Any, tuple[RobotPose, ...]] | None = None  # the last map, and the path of the decision on it

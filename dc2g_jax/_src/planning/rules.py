@@ -114,8 +114,8 @@ class Settings:
       name: name for users.
       sensing_range: default range of the field of view, in cells.
       expanding_range: default range of the frontier-expanding kernel, in cells; `None` for the sensing range.
-      make_rules: `(sensing range, expanding range or None) ->` rules. If it takes `degrees`, the width of the field of
-        view, it is called with that too.
+      make_rules: `(sensing range, expanding range or None) ->` rules. If it has an argument
+        `degrees`, it also gets the width of the field of view.
       field_of_view: width of the field of view in degrees, 1 to 360.
     """
 
@@ -154,7 +154,7 @@ class Settings:
         check_degrees("field of view", self.field_of_view)
         try:
             inspect.signature(self.make_rules).bind(1, None, degrees=self.field_of_view)
-        except (TypeError, ValueError):  # it takes no such argument, or is built in
+        except (TypeError, ValueError):  # it has no such argument, or no signature
             if self.field_of_view == PAPER_DEGREES:
                 return self.make_rules
             raise InputError(
@@ -204,5 +204,5 @@ def named_settings(settings: str | Settings, field_of_view: float | None = None)
     if field_of_view is None:
         return found
     found = dataclasses.replace(found, field_of_view=field_of_view)
-    found.rules()  # raises at once
+    found.rules()  # so that an invalid width raises here
     return found

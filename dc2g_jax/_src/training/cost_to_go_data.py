@@ -56,7 +56,7 @@ class DataConfig:
       starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: number of moments of each episode that become observation masks.
       ranges: sensing ranges, in cells, of the robots that collect the masks.
-      field_of_view: width of their field of view in degrees; validation stays at the paper's 90.
+      field_of_view: width of their field of view in degrees; validation always uses the paper's 90.
       own_share: share of a batch drawn from the dataset's houses rather than procedural ones, 0 to 1.
       edge_weight: loss weight of cells within 2 cells of unobserved ground; others have weight 1.
       half_weight_cost: cost-to-go, in cells, at which a cell has half the weight of a goal; `inf` for equal weights.

@@ -61,7 +61,7 @@ class View:
     Attributes:
       number: index of the range.
       ranges: the ranges, ascending, in cells.
-      degrees: width of all of them.
+      degrees: width of the field of view, the same for all ranges.
     """
 
     number: Int[Array, ""]
@@ -82,7 +82,7 @@ class View:
         """See `grid.sensing.Kernel.visible`."""
         radius = self.widest.radius
         tables = [kernel_runs(Kernel(radius, field_of_view(one, self.degrees).offsets)) for one in self.ranges]
-        # Some ranges have fewer runs than others: the rest are empty.
+        # Some ranges have fewer runs than others; empty runs make up for it.
         empty = np.zeros_like(tables[0][0]) - np.array([0, 1], np.int32)[:, None, None]
         together = itertools.zip_longest(*tables, fillvalue=empty)
         runs = [jnp.asarray(np.array(of_all))[self.number] for of_all in together]

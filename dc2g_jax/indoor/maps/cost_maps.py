@@ -116,7 +116,7 @@ def distance_to_object(
       goals: cells of the object.
       radius: radius of the robot, meters.
       cell_size: edge of a cell, meters.
-      margin: by how much nearer than `ARM` the path ends, meters.
+      margin: how much nearer than `ARM` to the object the path ends, meters.
 
     Returns:
       float32 meters; infinity where the robot does not fit and where no path leads to the object.

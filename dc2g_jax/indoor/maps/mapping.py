@@ -7,7 +7,8 @@ of its points lies at a height where the robot could hit it, and is explored onc
 in view. These 18 binary channels are stored as bits of one integer per cell and unpacked on demand: 0.7 MB for
 420 x 420 cells, instead of 12.7 MB for 18 channels of floats.
 
-If labels err, frames vote: a cell then has the classes that recent frames agree on (`IndoorMapSettings.votes`).
+If labels may be wrong, let frames vote: a cell then has the classes that recent frames agree on
+(`IndoorMapSettings.votes`).
 
 The cells of the map are those of the world's grid (`houses.worlds`). The robot starts in the middle of the
 map. The map does not rotate with the robot. All functions take one robot; use `jax.vmap` for batches.
@@ -34,12 +35,13 @@ MAP_CHANNELS = SEMANTIC_CLASSES + 2
 _CLASSES = np.uint32((1 << SEMANTIC_CLASSES) - 1)
 #: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
 FOOTROOM = 0.6
-#: Bits of the votes for a class in a cell, at most 3; a frame votes for classes of this share of a cell's points.
+#: Bits that count the votes for a class in a cell, so at most 3 votes; and the share of a cell's points in a frame that
+#: a class must exceed to get the frame's vote.
 _VOTE_BITS, _LEAST_SHARE = 2, 0.2
 
 if _VOTE_BITS * SEMANTIC_CLASSES > 32:
     raise ValueError(
-        f"{SEMANTIC_CLASSES} indoor classes: the votes of a cell have 32 bits, so merge some, 16 are possible"
+        f"{SEMANTIC_CLASSES} indoor classes: the votes of a cell have 32 bits, enough for 16 classes; merge some"
     )
 
 
@@ -56,9 +58,9 @@ class IndoorMapSettings:
       lowest: points lower than this above the floor are no obstacles, meters.
       highest: points higher than this, the height of the robot, are no obstacles, meters.
       inset: a return nearer than this to the cell behind it counts for that cell, meters.
-      votes: 1 if a single point gives its class to a cell, for labels without errors. 2 or 3 for a vote of the frames
-        that show a cell: each that shows the class adds one vote, up to 3, each other takes one away, and so many votes
-        are needed.
+      votes: number of votes that a class needs in a cell. With 1, for labels without errors, there is no vote: a single
+        point gives its class to the cell. With 2 or 3, the frames that show the cell vote: each that shows the class
+        there adds one vote, up to 3, and each other one takes one away.
     """
 
     cells: int = struct.field(pytree_node=False, default=420)
@@ -180,7 +182,7 @@ def _found(
     inside = usable & (row >= 0) & (row < side) & (column >= 0) & (column < side)
     hits = (z > settings.lowest) & (z < settings.highest)
     label = jnp.where(frame.classes <= SEMANTIC_CLASSES, frame.classes, 0).astype(jnp.int32)
-    # One scatter: how many points of this class a cell has, apart for those that would be hit.
+    # One scatter: how many points of each class a cell has; points that the robot could hit are counted separately.
     kinds = (2, SEMANTIC_CLASSES + 1, side, side)
     place = jnp.ravel_multi_index((hits.astype(jnp.int32), label, row, column), kinds, mode="clip")
     counts = jnp.zeros(math.prod(kinds), jnp.uint16).at[jnp.where(inside, place, math.prod(kinds))].add(1, mode="drop")

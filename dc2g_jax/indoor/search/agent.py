@@ -98,7 +98,7 @@ class Agent:
       controller: settings of the controller, with the limits of the vehicle.
       noise: noise of a simulated camera and pose.
       renewal: control periods between two camera frames, and between two sets of costs.
-      margin: by how much nearer than `maps.cost_maps.ARM` the path to an object ends, for poses that err, meters.
+      margin: how much nearer than `maps.cost_maps.ARM` the path to an object ends, meters; for poses with errors.
     """
 
     guide: Guide = struct.field(pytree_node=False)
@@ -250,7 +250,7 @@ def cost_at(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Float
 def arrives(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Bool[Array, ""]:
     """Whether the robot has reached the object at a position (x and y, meters).
 
-    With a margin, a robot that can come no nearer has reached it, too.
+    With a margin, it has also reached the object if it is within the margin and no adjacent cell is nearer.
     """
     near = _costs_around(robot, position, agent, 3)
     here = near[1, 1]

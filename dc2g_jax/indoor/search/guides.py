@@ -48,7 +48,7 @@ from dc2g_jax.runtime import InputError, check_name, jit
 #: Weight of the predicted cost relative to the distance over seen floor.
 _WEIGHT = 2.0
 
-#: With noise: votes that a class needs, and how much nearer robots drive to objects, meters.
+#: With noise: votes that a class needs in a cell, and how much nearer to objects robots drive, meters.
 _VOTES, _MARGIN = 2, 0.25
 
 #: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands

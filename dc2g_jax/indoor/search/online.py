@@ -95,8 +95,9 @@ class OnlineSearcher:
     `runtime.keep_compiled_programs`), and later starts load them. No call compiles anything afterward.
 
     Args:
-      agent: one of `ONLINE_AGENTS`, or any agent whose guide is not privileged. On the map of one by name, two frames
-        must agree on the class of a cell, and it drives somewhat nearer to objects than simulated robots do.
+      agent: one of `ONLINE_AGENTS`, or any agent whose guide is not privileged. For an agent by name, a class
+        needs the votes of two frames in a cell, and the path ends somewhat nearer to the object than in simulations
+        without noise.
       network: folder or place of a trained network for an agent by name, see `estimation.local_folder`;
         `None` for the shipped one.
       camera: intrinsics of the depth images; `None` for the agent's, by default those of the simulated robot,
@@ -115,7 +116,7 @@ class OnlineSearcher:
         keep_compiled_programs()
         if isinstance(agent, str):
             check_name("agent for a robot", agent, ONLINE_AGENTS, "or an `Agent` of your own")
-            agent = agent_with(agent, network, noise=1.0)  # real labels and poses err
+            agent = agent_with(agent, network, noise=1.0)  # real labels and poses have errors
         self.agent = agent if camera is None else dataclasses.replace(agent, camera=camera)
         image, still = (self.agent.camera.height, self.agent.camera.width), (0.0, 0.0, 0.0)
         frame = Frame(jnp.zeros(image), jnp.zeros(image, jnp.uint8), camera_pose(0.0, 0.0, 0.0))

@@ -46,7 +46,7 @@ _PARAMETERS: dict[str, tuple[Any, str]] = {
     "cell_size": (0.25, "side of the planner's cells, meters"),
     "smallest_cell": (0.0, "side of the smallest cells after halving, meters; 0: a quarter of cell_size"),
     "sensing_range": (3.0, "how far the robot sees, meters"),
-    "field_of_view": (90.0, "how wide the robot sees, degrees; 360: all around"),
+    "field_of_view": (90.0, "width of the robot's field of view, degrees; 360: all around"),
     "labels": ([""], "class of each cell value, for semantic maps, such as 1:road"),
     "largest": ([100, 100], "rows and columns of the largest map, cells"),
     "base_frame": ("base_link", "frame of the robot"),
