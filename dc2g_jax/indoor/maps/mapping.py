@@ -185,10 +185,10 @@ def _found(
     # One scatter: how many points of each class a cell has; points that the robot could hit are counted separately.
     kinds = (2, SEMANTIC_CLASSES + 1, side, side)
     place = jnp.ravel_multi_index((hits.astype(jnp.int32), label, row, column), kinds, mode="clip")
-    counts = jnp.zeros(math.prod(kinds), jnp.uint16).at[jnp.where(inside, place, math.prod(kinds))].add(1, mode="drop")
+    counts = jnp.zeros(math.prod(kinds), jnp.uint32).at[jnp.where(inside, place, math.prod(kinds))].add(1, mode="drop")
     counts = counts.reshape(kinds)
     of_class, obstacle = counts[0] + counts[1], jnp.any(counts[1] > 0, axis=0)
-    total = jnp.sum(of_class, axis=0, dtype=jnp.uint16)
+    total = jnp.sum(of_class, axis=0, dtype=jnp.uint32)
     classes = of_class > (_LEAST_SHARE if settings.votes > 1 else 0) * total
     bits = enumerate([*classes[1:], obstacle, total > 0])
     return functools.reduce(jnp.bitwise_or, (cells.astype(jnp.uint32) << number for number, cells in bits))
