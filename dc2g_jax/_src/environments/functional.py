@@ -27,7 +27,7 @@ from dc2g_jax._src.environments import spaces
 from dc2g_jax._src.grid import gridworld, sensing
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import PAPER_DEGREES, Kernel, check_sensing_range
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES, Kernel, check_degrees, check_sensing_range
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, stack_worlds
@@ -222,6 +222,7 @@ def front_door(
         gives a reason), their sizes differ, or a number is out of bounds.
     """
     check_sensing_range("sensing_range", sensing_range)
+    check_degrees("field of view", field_of_view)
     check_number("step_limit", step_limit, whole=True, least=1, most=_MAX_STEP_LIMIT)
     if not houses:
         raise InputError("houses: there are none; give at least one")

@@ -21,7 +21,7 @@ from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.poses import HEADINGS, Pose
-from dc2g_jax._src.grid.sensing import PAPER_DEGREES, check_sensing_range
+from dc2g_jax._src.grid.sensing import check_sensing_range
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
@@ -37,15 +37,15 @@ from dc2g_jax._src.planning.planners import (
     distances_and_scores,
     memoryless,
 )
-from dc2g_jax._src.planning.rules import Rules, complete_rules
+from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
 #: Planners that only need the robot's map, and no memory.
 ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
 
-#: Side length of the smallest compiled grid, in cells. The sides of the next ones are four times as long each, and that
-#: of the largest is more than twice as long as the one before. There are few, as each takes some seconds to compile.
+#: Side length of the smallest compiled grid, in cells. Each further one is twice as large, and the largest more than
+#: twice. There are few, as each takes some seconds to compile.
 _SMALLEST_GRID = 128
 
 #: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
@@ -138,7 +138,7 @@ class OnlinePlanner:
             planner = make_planner(
                 planner, network=network, settings=settings, sensing_range=sensing_range, field_of_view=field_of_view
             )
-        asked = complete_rules(sensing_range, degrees=PAPER_DEGREES if field_of_view is None else field_of_view)
+        asked = named_settings(settings, field_of_view).rules(sensing_range)
         self.rules: Rules = getattr(planner, "rules", asked)
         if (own := self.rules.sensing).radius != sensing_range:
             raise InputError(f"sensing_range {sensing_range}: the planner's rules say {own.radius}; give that")
@@ -207,8 +207,8 @@ class OnlinePlanner:
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:
     """Shapes of the compiled grids, ascending: squares, limited to the largest shape."""
-    fourfold = (_SMALLEST_GRID * 4**number for number in itertools.count())
-    sides = itertools.takewhile(lambda side: 2 * side < max(rows, columns), fourfold)
+    doubled = (_SMALLEST_GRID << doublings for doublings in itertools.count())
+    sides = itertools.takewhile(lambda side: 2 * side < max(rows, columns), doubled)
     return [*((min(side, rows), min(side, columns)) for side in sides if side > larger_than), (rows, columns)]
 
 

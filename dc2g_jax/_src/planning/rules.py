@@ -64,6 +64,7 @@ def first_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
     return with_headings(soonest, bitboard.single(x, y, *reachable.shape[:2]))
 
 
+@functools.cache
 def complete_rules(
     sensing_range: int, view: Callable[[int, float], Kernel] = field_of_view, degrees: float = PAPER_DEGREES
 ) -> Rules:
@@ -77,7 +78,7 @@ def complete_rules(
     return _complete_rules(view(sensing_range, degrees))
 
 
-@functools.cache
+@functools.cache  # so that equal fields of view share their programs
 def _complete_rules(sensing: Kernel) -> Rules:
     return Rules(
         sensing=sensing,

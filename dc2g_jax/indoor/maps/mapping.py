@@ -35,11 +35,11 @@ MAP_CHANNELS = SEMANTIC_CLASSES + 2
 _CLASSES = np.uint32((1 << SEMANTIC_CLASSES) - 1)
 #: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
 FOOTROOM = 0.6
-#: Bits that count the votes for a class in a cell, so at most 3 votes; and the share of a cell's points in a frame that
-#: a class must exceed to get the frame's vote.
-_VOTE_BITS, _LEAST_SHARE = 2, 0.2
+#: The bit at which the high bits of the votes begin; and the share of a cell's points in a frame that a class must
+#: exceed to get the frame's vote.
+_HIGH, _LEAST_SHARE = 16, 0.2
 
-if _VOTE_BITS * SEMANTIC_CLASSES > 32:
+if SEMANTIC_CLASSES > _HIGH:
     raise ValueError(
         f"{SEMANTIC_CLASSES} indoor classes: the votes of a cell have 32 bits, enough for 16 classes; merge some"
     )
@@ -85,7 +85,8 @@ class IndoorMap:
     Attributes:
       cells: the channels of each cell, one bit per channel, channel 0 in the lowest bit.
       origin: row and column of the first cell in the world's grid; they may be negative.
-      votes: votes for each class, two bits per class; `None` without votes.
+      votes: number of votes for each class, 0 to 3: its low bit in the lower 16 bits, its high bit in the upper ones;
+        `None` without votes.
     """
 
     cells: UInt32[Array, "h w"]
@@ -145,8 +146,9 @@ def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, setti
     votes = indoor_map.votes
     if votes is not None:
         own = _voted(jax.lax.dynamic_slice(votes, corner, (side, side)), found, cleared)
-        votes = jax.lax.dynamic_update_slice(votes, _packed(own, _VOTE_BITS), corner)
-        after = after & ~_CLASSES | _packed(own >= settings.votes, 1)
+        votes = jax.lax.dynamic_update_slice(votes, own, corner)
+        enough = own >> _HIGH if settings.votes == 2 else (own >> _HIGH) & own
+        after = (after & ~_CLASSES) | (enough & _CLASSES)
     return dataclasses.replace(
         indoor_map, cells=jax.lax.dynamic_update_slice(indoor_map.cells, after, corner), votes=votes
     )
@@ -154,20 +156,15 @@ def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, setti
 
 def _voted(
     votes: UInt32[Array, "n n"], found: UInt32[Array, "n n"], cleared: Bool[Array, "n n"]
-) -> UInt32[Array, "class n n"]:
-    """The votes for each class after a frame that shows these channels."""
-    number = jnp.arange(SEMANTIC_CLASSES, dtype=jnp.uint32)[:, None, None]
-    most = 2**_VOTE_BITS - 1
-    before = (votes >> (_VOTE_BITS * number)) & most
-    fewer = jnp.where(has(found, EXPLORED_CHANNEL), jnp.maximum(before, 1) - 1, before)
-    after = jnp.where((found >> number) & 1 == 1, jnp.minimum(before + 1, most), fewer)
-    return jnp.where(cleared, 0, after)
-
-
-def _packed(values: Shaped[Array, "class n n"], bits: int) -> UInt32[Array, "n n"]:
-    """Values of so many bits for each class in one integer."""
-    shifted = (own.astype(jnp.uint32) << bits * number for number, own in enumerate(values))
-    return functools.reduce(jnp.bitwise_or, shifted)
+) -> UInt32[Array, "n n"]:
+    """The votes after a frame that shows these channels, see `IndoorMap.votes`."""
+    low, high, shown = votes & _CLASSES, votes >> _HIGH, found & _CLASSES
+    missed = jnp.where(has(found, EXPLORED_CHANNEL), _CLASSES & ~shown, 0)
+    same = ~(shown | missed)
+    # One more vote, up to 3, where a class is shown; one less, down to 0, where it is missed.
+    after_low = (low & same) | (shown & (~low | high)) | (missed & high & ~low)
+    after_high = (high & same) | (shown & (high | low)) | (missed & high & low)
+    return jnp.where(cleared, 0, after_low | (after_high << _HIGH))
 
 
 def _found(
