@@ -51,17 +51,29 @@ def pack(cells: Bool[Array, "h w *batch"]) -> Board:
     return jnp.swapaxes(jnp.sum(bits << place, axis=2, dtype=jnp.uint32), 0, 1)
 
 
+def _bits(board: Board) -> UInt32[Array, "h 32*n_words *batch"]:
+    """The bits of a board, cell by cell."""
+    n_words, height, *batch = board.shape
+    place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
+    bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
+    return bits.reshape(height, n_words * WORD_BITS, *batch)
+
+
 @functools.partial(_traced_once, static_argnames="width")
 def unpack(board: Board, width: int) -> Bool[Array, "h w *batch"]:
     """Unpack a board into a boolean grid of `width` columns."""
+    return apart(lambda board: _bits(board)[:, :width].astype(bool), board)
 
-    def unpacked(board: Board) -> Bool[Array, "h w *batch"]:
-        n_words, height, *batch = board.shape
-        place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
-        bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
-        return bits.reshape(height, n_words * WORD_BITS, *batch)[:, :width].astype(bool)
 
-    return apart(unpacked, board)
+@functools.partial(_traced_once, static_argnames="width")
+def numbers(planes: UInt32[Array, "bit n_words h *batch"], width: int) -> Int[Array, "h w *batch"]:
+    """The number of every cell of a grid of `width` columns, whose bits are boards, the highest first."""
+
+    def unpacked(planes: UInt32[Array, "bit n_words h *batch"]) -> Int[Array, "h w *batch"]:
+        number = functools.reduce(lambda number, bits: 2 * number + bits, map(_bits, planes))
+        return number[:, :width].astype(jnp.int32)
+
+    return apart(unpacked, planes)
 
 
 def full(height: int, width: int) -> UInt32[np.ndarray, "n_words h"]:

@@ -91,7 +91,12 @@ def is_empty(poses: PoseSet) -> Bool[Array, "*batch"]:
 
 def unpack(poses: PoseSet, width: int) -> Bool[Array, "heading h w *batch"]:
     """Unpack a pose set into boolean grids of `width` columns."""
-    return jnp.stack([bitboard.unpack(board, width) for board in poses])
+    return jax.vmap(lambda board: bitboard.unpack(board, width))(poses)
+
+
+def numbers(planes: UInt32[Array, "bit heading n_words h *batch"], width: int) -> Int[Array, "heading h w *batch"]:
+    """The number of every pose, whose bits are pose sets, the highest first."""
+    return jax.vmap(lambda planes: bitboard.numbers(planes, width), in_axes=1)(planes)
 
 
 def pack(poses: Bool[Array, "heading h w *batch"]) -> PoseSet:

@@ -4,6 +4,7 @@ A wavefront is a pose set that grows by one action per step. The work of a searc
 times the number of words in the map. Batch axes come last, see `grid.bitboard`.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -196,8 +197,8 @@ def _count(
       counted: what has a count of its own: maps a pose set to itself or to its cells.
 
     Returns:
-      The poses that were found; and the steps to them, beyond the first, in Gray code, highest bit first. Each plane
-      holds those whose code has that bit, and nothing else.
+      The poses that were found; and the steps to them, beyond the first, as binary numbers, highest bit first. Each
+      plane holds those whose number has that bit, and nothing else.
     """
     start = only(pose, *free.shape[:2]) & free
 
@@ -219,16 +220,8 @@ def _count(
     planes = jnp.zeros((_pose_count(free).bit_length(), *counted(found).shape), jnp.uint32)
     first = (start, found, planes, jnp.int32(0)), jnp.any(wanted)
     (_, found, planes, _), _ = until(lambda carry: ~carry[1], grow_some, first, most=_pose_count(free) + 1)
-    return found, planes[::-1] & counted(found)
-
-
-def _decoded(planes: UInt32[Array, "bit ..."], unpack: Callable[[Array], Array]) -> Int[Array, "..."]:
-    """The numbers whose bits in Gray code are these planes, highest bit first."""
-    binary, number = jnp.uint32(0), jnp.int32(0)
-    for plane in planes:
-        binary = binary ^ plane
-        number = 2 * number + unpack(binary)
-    return number
+    bits = itertools.accumulate(planes[::-1] & counted(found), jnp.bitwise_xor)  # from Gray code
+    return found, jnp.stack(list(bits))
 
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
@@ -236,7 +229,7 @@ def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *b
     reached, planes = _count(
         pose, free, poses.every_heading(free), find=lambda reached, _: reached, counted=lambda found: found
     )
-    lengths = _decoded(planes, lambda plane: poses.unpack(plane, width)) + 1
+    lengths = poses.numbers(planes, width) + 1
     lengths = jnp.where(poses.unpack(only(pose, *free.shape[:2]), width), 0, lengths)
     return jnp.where(poses.unpack(reached, width), lengths, -1)
 
@@ -254,7 +247,7 @@ def nearest_headings(
         return nearest | candidates & reached & ~poses.occupied(nearest)
 
     nearest, planes = _count(pose, free, candidates, find, counted=poses.occupied)
-    return nearest, _decoded(planes, lambda plane: bitboard.unpack(plane, width)) + 1
+    return nearest, bitboard.numbers(planes, width) + 1
 
 
 #: Moves between cells, `(dx, dy)`: the four a robot can make, and the eight of the paper's cost-to-go images.

@@ -107,15 +107,15 @@ def _as_integers(score: Float[Array, "..."]) -> Int[Array, "..."]:
     return jnp.round(jnp.clip(score * _STEPS_PER_CELL, -_MOST_STEPS, _MOST_STEPS)).astype(jnp.int32)
 
 
-def _weighted(weights: Sequence[Array] | Array, values: Float[Array, "term ..."]) -> Float[Array, "..."]:
+def _weighted(weights: Array, values: Sequence[Array] | Array) -> Float[Array, "..."]:
     """The weighted sum, added term by term: XLA has no code for such a sum within one CPU operation."""
     return functools.reduce(jnp.add, [weight * value for weight, value in zip(weights, values, strict=True)])
 
 
-def _pose_terms(view_size: int, distance: Array, gain: Array, kept: Array) -> Float[Array, "term heading h w *batch"]:
-    """`POSE_TERMS` of every pose."""
+def _pose_terms(view_size: int, distance: Array, gain: Array, kept: Array) -> list[Float[Array, "..."]]:
+    """`POSE_TERMS` of poses."""
     actions, new = jnp.maximum(distance, 0).astype(jnp.float32), jnp.maximum(gain, 1).astype(jnp.float32)
-    return jnp.stack([actions, jnp.log(actions + 1), new / view_size, jnp.log(new), kept.astype(jnp.float32)])
+    return [actions, jnp.log(actions + 1), new / view_size, jnp.log(new), kept.astype(jnp.float32)]
 
 
 def _best_of_squares(
@@ -124,8 +124,8 @@ def _best_of_squares(
     """The eligible pose with the lowest score in each square, and whether there is one."""
     height, width, *batch = score.shape[1:]
     down, across = -(-height // SIDE), -(-width // SIDE)
-    place = np.arange(HEADINGS)[:, None, None] * SIDE**2 + np.arange(height)[:, None] % SIDE * SIDE
-    place = (place + np.arange(width) % SIDE).reshape(HEADINGS, height, width, *(1 for _ in batch))
+    heading, y, x = (jax.lax.broadcasted_iota(jnp.int32, score.shape, axis) for axis in range(3))
+    place = heading * SIDE**2 + y % SIDE * SIDE + x % SIDE
     none = jnp.iinfo(jnp.int32).max
     # The score, and the place in the square in the lowest 8 bits.
     order = jnp.where(eligible, _as_integers(score) * (HEADINGS * SIDE**2) + place, none)
@@ -339,16 +339,15 @@ class LearnedScore(Planner):
         width, sensing = belief.width, self.rules.sensing
         distance = apart(lambda pose, free: search.distances(pose, free, width), belief.pose, reachable)
         gain = sensing.count_seen(frontiers.unseen(belief), belief.opaque, width)
-        of_poses = apart(
-            functools.partial(_pose_terms, len(sensing.offsets[0])), distance, gain, poses.unpack(kept, width)
-        )
+        known = distance, gain, poses.unpack(kept, width)
+        terms_of = functools.partial(_pose_terms, len(sensing.offsets[0]))
         of_a_pose = self.weights[: len(POSE_TERMS)]
-        partial_score = apart(lambda values, cost: cost + _weighted(of_a_pose, values), of_poses, cost)
+        partial_score = apart(lambda cost, *known: cost + _weighted(of_a_pose, terms_of(*known)), cost, *known)
         eligible = poses.unpack(revealing, width) & (distance >= 0)
         pose, present = apart(_best_of_squares, eligible, partial_score)
-        flat = ((pose.heading * belief.height + pose.y) * width + pose.x)[None]
-        own = jnp.take_along_axis(of_poses.reshape(len(POSE_TERMS), -1, *flat.shape[2:]), flat, axis=1)
-        terms = jnp.concatenate([own, apart(_area_terms, belief, reachable, pose, own[0])])
+        flat = (pose.heading * belief.height + pose.y) * width + pose.x
+        own = terms_of(*(jnp.take_along_axis(each.reshape(-1, *flat.shape[1:]), flat, axis=0) for each in known))
+        terms = jnp.concatenate([jnp.stack(own), apart(_area_terms, belief, reachable, pose, own[0])])
         costs = at_cells(cost, pose.x, pose.y)
         return Candidates(pose, present, costs, terms, costs + _weighted(self.weights, terms))
 
@@ -401,11 +400,11 @@ def _on_map(
     rows, columns = (
         jnp.arange(size).reshape(*shape, *(1 for _ in batch)) for size, shape in ((height, (-1, 1)), (width, (1, -1)))
     )
-    square = rows // SIDE * -(-width // SIDE) + columns // SIDE
-    square = jnp.broadcast_to(square, (height, width, *batch)).reshape(height * width, *batch)
 
     def on_map(values: Array) -> Array:
-        return jnp.take_along_axis(values, square, axis=0).reshape(height, width, *batch)
+        squares = values.reshape(-(-height // SIDE), 1, -(-width // SIDE), 1, *batch)
+        cells = jnp.broadcast_to(squares, (squares.shape[0], SIDE, squares.shape[2], SIDE, *batch))
+        return cells.reshape(squares.shape[0] * SIDE, squares.shape[2] * SIDE, *batch)[:height, :width]
 
     here = on_map(found.present) & (on_map(found.pose.x) == columns) & (on_map(found.pose.y) == rows)
     headings = on_map(found.pose.heading)

@@ -33,6 +33,7 @@ from dc2g_jax._src.planning.planners import (
     Assessment,
     Planner,
     PlannerLike,
+    asks,
     assess,
     distances_and_scores,
     memoryless,
@@ -46,7 +47,7 @@ ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
 
 #: Side length of the smallest compiled grid, in cells. Each further one is twice as large, and the largest more than
 #: twice. There are few, as each takes some seconds to compile.
-_SMALLEST_GRID = 128
+_SMALLEST_GRID = 256
 
 #: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
 #: cells; with this margin, even the smallest map looks like one of them.
@@ -68,12 +69,29 @@ def view_of(belief: Belief, assessment: Assessment) -> View:
 def _look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
     """The inputs of a decision, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
 
-    def look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> View:
+    def begin(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Belief, Any]:
         observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
         belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
-        assessment, _ = assess(planner, belief, planner.init(World.from_terrain(observed)), rules)
-        return view_of(belief, assessment)
+        return belief, planner.init(World.from_terrain(observed))
 
+    def look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> View:
+        belief, state = begin(planner, terrain, pose)
+        return view_of(belief, assess(planner, belief, state, rules)[0])
+
+    def before(planner, terrain, pose):
+        belief, state = begin(planner, terrain, pose)
+        return belief, state, planner.look(belief, state)
+
+    def after(planner, belief, state, looked, answer):
+        return view_of(belief, planner.conclude(belief, state, looked, lambda *_: answer)[0])
+
+    if asks(planner):
+        belief, state, looked = one_operation(before, planner, terrain, pose)
+        shape = jax.eval_shape(planner.ask, belief, state)
+        answer = jax.lax.cond(
+            looked[0], lambda: planner.ask(belief, state), lambda: jnp.zeros(shape.shape, shape.dtype)
+        )
+        return one_operation(after, planner, belief, state, looked, answer)
     return one_operation(look, planner, terrain, pose)
 
 
