@@ -197,8 +197,8 @@ def _count(
       counted: what has a count of its own: maps a pose set to itself or to its cells.
 
     Returns:
-      The poses that were found; and the steps to them, beyond the first, as binary numbers, highest bit first. Each
-      plane holds those whose number has that bit, and nothing else.
+      The poses that were found; and one more than the steps to them, as binary numbers, highest bit first. Each plane
+      holds those whose number has that bit, and nothing else.
     """
     start = only(pose, *free.shape[:2]) & free
 
@@ -217,8 +217,10 @@ def _count(
         return search, missing & jnp.any(search[0] != carry[0][0])
 
     found = start & wanted
-    planes = jnp.zeros((_pose_count(free).bit_length(), *counted(found).shape), jnp.uint32)
-    first = (start, found, planes, jnp.int32(0)), jnp.any(wanted)
+    # The numbers are 1 where the wavefront begins and 2 elsewhere: 01 and 11 in Gray code.
+    planes = jnp.zeros(((_pose_count(free) + 1).bit_length(), *counted(found).shape), jnp.uint32)
+    planes = planes.at[0].set(~jnp.uint32(0)).at[1].set(~counted(found))
+    first = (start, found, planes, jnp.int32(2)), jnp.any(wanted)
     (_, found, planes, _), _ = until(lambda carry: ~carry[1], grow_some, first, most=_pose_count(free) + 1)
     bits = itertools.accumulate(planes[::-1] & counted(found), jnp.bitwise_xor)  # from Gray code
     return found, jnp.stack(list(bits))
@@ -226,12 +228,10 @@ def _count(
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
     """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
-    reached, planes = _count(
+    _, planes = _count(
         pose, free, poses.every_heading(free), find=lambda reached, _: reached, counted=lambda found: found
     )
-    lengths = poses.numbers(planes, width) + 1
-    lengths = jnp.where(poses.unpack(only(pose, *free.shape[:2]), width), 0, lengths)
-    return jnp.where(poses.unpack(reached, width), lengths, -1)
+    return poses.numbers(planes, width) - 1
 
 
 def nearest_headings(
@@ -239,7 +239,7 @@ def nearest_headings(
 ) -> tuple[PoseSet, Int[Array, "h w *batch"]]:
     """The nearest candidate headings of every cell, and the number of actions to reach them over free cells.
 
-    The pose of the robot must not be a candidate. Candidates that cannot be reached are ignored. The number is 1 on
+    The pose of the robot must not be a candidate. Candidates that cannot be reached are ignored. The number is -1 on
     cells without candidates.
     """
 
@@ -247,7 +247,7 @@ def nearest_headings(
         return nearest | candidates & reached & ~poses.occupied(nearest)
 
     nearest, planes = _count(pose, free, candidates, find, counted=poses.occupied)
-    return nearest, bitboard.numbers(planes, width) + 1
+    return nearest, bitboard.numbers(planes, width) - 1
 
 
 #: Moves between cells, `(dx, dy)`: the four a robot can make, and the eight of the paper's cost-to-go images.

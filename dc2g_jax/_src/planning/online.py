@@ -65,34 +65,37 @@ def view_of(belief: Belief, assessment: Assessment) -> View:
     return View(*traced)
 
 
-@functools.partial(jit, static_argnames=("rules",), compiler_options=ONE_OPERATION_OPTIONS)
-def _look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
-    """The inputs of a decision, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
+#: A robot waits for the program: it is compiled in two thirds of the time, and a network takes most of its time anyway.
+_OPTIONS = {**ONE_OPERATION_OPTIONS, "xla_backend_optimization_level": 2}
 
-    def begin(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Belief, Any]:
+
+@functools.partial(jit, static_argnames=("rules",), compiler_options=_OPTIONS)
+def _look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
+    """The inputs of a decision, given class indices that are `OUTSIDE` beyond the map, and column, row and heading.
+
+    What comes before and after a network is one operation each.
+    """
+
+    def begin(terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Belief, Any, Any]:
         observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
         belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
-        return belief, planner.init(World.from_terrain(observed))
+        state = planner.init(World.from_terrain(observed))
+        return belief, state, planner.look(belief, state) if asks(planner) else None
 
-    def look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> View:
-        belief, state = begin(planner, terrain, pose)
-        return view_of(belief, assess(planner, belief, state, rules)[0])
+    def conclude(planner: PlannerLike, belief: Belief, state: Any, looked: Any, answer: Any) -> View:
+        if looked is None:
+            assessment, _ = assess(planner, belief, state, rules)
+        else:
+            assessment, _ = planner.conclude(belief, state, looked, lambda *_: answer)
+        return view_of(belief, assessment)
 
-    def before(planner, terrain, pose):
-        belief, state = begin(planner, terrain, pose)
-        return belief, state, planner.look(belief, state)
-
-    def after(planner, belief, state, looked, answer):
-        return view_of(belief, planner.conclude(belief, state, looked, lambda *_: answer)[0])
-
-    if asks(planner):
-        belief, state, looked = one_operation(before, planner, terrain, pose)
-        shape = jax.eval_shape(planner.ask, belief, state)
-        answer = jax.lax.cond(
-            looked[0], lambda: planner.ask(belief, state), lambda: jnp.zeros(shape.shape, shape.dtype)
-        )
-        return one_operation(after, planner, belief, state, looked, answer)
-    return one_operation(look, planner, terrain, pose)
+    belief, state, looked = one_operation(begin, terrain, pose)
+    answer = None
+    if looked is not None:
+        told = jax.eval_shape(planner.ask, belief, state)
+        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), told)
+        answer = jax.lax.cond(looked[0], lambda: planner.ask(belief, state), lambda: nothing)
+    return one_operation(conclude, planner, belief, state, looked, answer)
 
 
 class OnlinePlanner:
@@ -220,7 +223,7 @@ class OnlinePlanner:
 
     def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
         """The inputs of a decision, computed in one call of the device."""
-        return jax.device_get(_look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules))
+        return jax.tree.map(np.asarray, _look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules))
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:

@@ -13,8 +13,9 @@ from dc2g_jax._src.runtime.errors import InputError
 #: The name of the family of published houses.
 PUBLISHED = "published"
 
-#: Families of `dc2g compare` unless others are chosen. Those of extracts need their files.
-FAMILIES: tuple[str, ...] = (PUBLISHED, *NAMED)
+#: Families of `dc2g compare` unless others are chosen, one of them for robots that see all around. Those of extracts
+#: need their files.
+FAMILIES: tuple[str, ...] = (PUBLISHED, *NAMED, "offices@360")
 
 
 def family_of(house: str) -> str:
@@ -22,12 +23,18 @@ def family_of(house: str) -> str:
     return house.partition("/")[0]
 
 
+def field_of_view_of(family: str) -> tuple[str, float | None]:
+    """What comes before the width of the field of view in `offices@360`, and the width in degrees, `None` without."""
+    maps, _, degrees = family.rpartition("@")
+    return (maps, float(degrees)) if maps and degrees.isdecimal() else (family, None)
+
+
 def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int) -> HouseDataset:
     """Maps of several families in one dataset, each named `family/house`.
 
     Args:
-      locations: `published` for the published houses, or what `open_dataset` takes. A family is called by its dataset's
-        name; the published houses `published`.
+      locations: `published` for the published houses, or what `open_dataset` takes; with a field of view in degrees,
+        `offices@360`. A family is called by its dataset's name; the published houses `published`.
       split: `train`, `val` or `test`.
       most_maps: largest number of maps of a family. They are spread evenly over its split.
       most_cells: largest number of cells of a map. Of a family with maps of several sizes, those of the largest size
@@ -37,11 +44,12 @@ def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int
       InputError: a dataset cannot be opened, has no usable map in the split, or two have one name.
     """
     families: dict[str, HouseDataset] = {}
-    for location in locations:
+    for family in locations:
+        location, _ = field_of_view_of(family)
         dataset = open_dataset(None if location == PUBLISHED else location)
         if location == PUBLISHED and dataset.source != "published":
             raise InputError(f"family {PUBLISHED}: is not the published dataset, but {dataset.name}; leave it out")
-        name = PUBLISHED if location == PUBLISHED else dataset.name
+        name = (PUBLISHED if location == PUBLISHED else dataset.name) + family.removeprefix(location)
         if name in families:
             raise InputError(f"family {name}: two families have this name; leave one out or rename it")
         families[name] = dataset

@@ -18,8 +18,8 @@ from dc2g_jax._src.cli.outputs import command_written, output_folder, print_file
 from dc2g_jax._src.figures.results_figures import plot_leaderboard
 from dc2g_jax._src.grid.sensing import PAPER_DEGREES
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS
-from dc2g_jax._src.planning.rules import named_settings
-from dc2g_jax._src.readers.families import FAMILIES, family_of, gather
+from dc2g_jax._src.planning.rules import Settings, named_settings
+from dc2g_jax._src.readers.families import FAMILIES, family_of, field_of_view_of, gather
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import Start, sample_starts
 from dc2g_jax._src.rollouts.evaluation import Runner, by_name
@@ -39,7 +39,8 @@ class Options(NetworksOptions, OutOptions, ResumeOptions):
         dc2g_jax.check_planner should have passed.
       family: families of maps: `published` for the published houses, a folder of maps or of OpenStreetMap extracts,
         package.module:name for a `HouseDataset` of your own or a function that returns one, or a word; by default
-        `published` and all words: `procedural`, `towns`, `mazes`, `halls`, `offices`, `floor_plans`.
+        `published` and all words: `procedural`, `towns`, `mazes`, `halls`, `offices`, `floor_plans`. With @ and a width
+        in degrees, its robots have that field of view: `offices@360`, by default too.
       split: split of the maps. Choose and tune on `val`.
       maps: largest number of maps of a family.
       starts: least number of sampled starts in a family; each of its maps gets the same number.
@@ -72,22 +73,26 @@ def main(options: Options) -> None:
         )
     if not options.family:
         raise InputError("--family: is empty; give a family of maps")
-    settings = named_settings(options.settings, options.field_of_view)
+    common = named_settings(options.settings, options.field_of_view)
     dataset = gather(options.family, options.split, options.maps, options.most_cells)
+    settings = {
+        family: named_settings(common, field_of_view_of(family)[1])
+        for family in dict.fromkeys(family_of(house.name) for house in dataset.houses)
+    }
     network = options.open(options.planner)
     planners = by_name(options.planner, network)
     out = output_folder(options, "compare", inputs=digests(dataset, network=network))
     began = datetime.datetime.now(datetime.UTC)
     table, start, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
     # A step limit for each size of map: planners that fail would take that of the largest on all.
-    by_size: dict[tuple[int, ...], list[House]] = {}
+    alike: dict[tuple[tuple[int, ...], Settings], list[House]] = {}
     for house in dataset.houses:
-        by_size.setdefault(house.terrain.shape, []).append(house)
+        alike.setdefault((house.terrain.shape, settings[family_of(house.name)]), []).append(house)
     maps = Counter(family_of(house.name) for house in dataset.houses)
     runs: list[tuple[Runner, list[Start]]] = []
     limit: dict[str, int] = {}
-    for own in by_size.values():
-        runner = Runner(HouseDataset(dataset.name, dataset.source, tuple(own)), settings, progress=EpisodeProgress())
+    for (_, seen), own in alike.items():
+        runner = Runner(HouseDataset(dataset.name, dataset.source, tuple(own)), seen, progress=EpisodeProgress())
         counts = [-(-options.starts // maps[family_of(house.name)]) for house in own]
         starts = [sample_starts([house], count, seed=options.seed) for house, count in zip(own, counts, strict=True)]
         runs.append((runner, list(itertools.chain(*starts))))
@@ -102,9 +107,12 @@ def main(options: Options) -> None:
     (out / "images").mkdir(exist_ok=True)
     plot_leaderboard(out / "images" / "leaderboard", families)
     command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", command_written())
-    degrees = settings.field_of_view
-    wide = "" if degrees == PAPER_DEGREES else f" over {degrees:g} degrees"
-    sees = f"{settings.sensing_range}-cell sensing{wide}"
+    degrees = common.field_of_view
+    if any(field_of_view_of(family)[1] for family in settings):
+        wide = f" over {degrees:g} degrees or those after an @"
+    else:
+        wide = "" if degrees == PAPER_DEGREES else f" over {degrees:g} degrees"
+    sees = f"{common.sensing_range}-cell sensing{wide}"
     text = page(
         families,
         _about(planners),
