@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 import yaml
 from dc2g_planner import messages, planner_process
-from dc2g_planner.planner_process import Decision, MapPose, Planner, Refused
+from dc2g_planner.planner_process import Decision, MapPose, Refused
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 
 from dc2g_jax._src.planning.online import OnlinePlanner
-from dc2g_jax._src.runtime.errors import InputError
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
 from tests.support.places import ROOT
@@ -58,20 +57,14 @@ def transform_of(pose, rows: int):
     return M.Transform(translation=M.Vector3(x=x, y=y, z=0.0), rotation=quaternion(YAW - pose[2] * math.pi / 2))
 
 
-class InProcess(planner_process.PlannerProcess):
+class InProcess(planner_process.PlannerHere):
     """The planner of the node without a process of its own, which would take seconds to start."""
 
     def __init__(self, python: str, **options):
-        try:
-            self.planner = Planner(**options)
-        except InputError as error:
-            raise Refused(str(error)) from None
-
-    def _ask(self, name, arguments):
-        return getattr(self.planner, name)(*arguments)
+        super().__init__(**options)
 
     def close(self):
-        del self.planner
+        pass
 
 
 def run(seed: int, steps: int = 12):
@@ -267,7 +260,8 @@ def test_arguments_of_the_launch_file(monkeypatch):
 def test_the_package_declares_what_it_imports():
     folder = ROOT / "ros2/dc2g_planner"
     code = "".join(path.read_text() for path in folder.rglob("*.py") if path.name != "setup.py")
-    imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - {"dc2g_jax"}
+    from_pip = {"dc2g_jax", "cyclonedds"}
+    imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - from_pip
     packages = {"numpy": "python3-numpy", "tf2_ros": "tf2_ros_py"}
     declared = {each.text for each in ElementTree.parse(folder / "package.xml").iter() if "_depend" in each.tag}
     assert {packages.get(name, name) for name in imported - {"dc2g_planner"}} == declared - {"python3-pytest"}
