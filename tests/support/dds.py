@@ -11,13 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
-
-from tests.support.places import ROOT
-
-pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: pip install -e '.[dds]'")
-
-from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -25,8 +19,11 @@ from dc2g_planner.dds_types import TYPES
 from dc2g_planner.messages import OUTPUTS
 from dc2g_planner.participant import quality_of_service
 
-#: Only loopback, and no multicast, which loopback may not have. What kills a peer is noticed after a second.
-LOOPBACK = (
+from tests.support import ros
+from tests.support.places import ROOT
+
+# Only loopback, and no multicast, which loopback may not have. A peer that was killed is missed after two seconds.
+os.environ["CYCLONEDDS_URI"] = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo'/></Interfaces>"
     "<AllowMulticast>false</AllowMulticast></General>"
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='localhost'/></Peers>"
@@ -62,7 +59,6 @@ class Robot:
     """Publishes a map, doors and transforms, and reads what the planner publishes."""
 
     def __init__(self, domain: int):
-        self._domain = Domain(domain, LOOPBACK)  # with its settings; they last as long as this
         self._dds = DomainParticipant(domain)
         self.map = self.writer("rt/map", "OccupancyGrid", LATCHED)
         self.doors = self.writer("rt/doors", "PoseArray", VOLATILE)
@@ -82,6 +78,21 @@ class Robot:
         for writer in (self.tf, self.doors):
             wait_until(writer.get_matched_subscriptions, "nobody reads tf or doors")
 
+    def answer(self) -> dict[str, Any]:
+        """The next decision: one message of each output, and of the subgoal if there is one."""
+        found: dict[str, Any] = {}
+
+        def is_complete() -> bool:
+            for name in OUTPUTS.keys() - found.keys():
+                if messages := taken(self.outputs[name]):
+                    (found[name],) = messages
+            return found.keys() | {"subgoal"} == OUTPUTS.keys() and bool(found["path"].poses) == ("subgoal" in found)
+
+        wait_until(is_complete, "no decision")
+        stamps = {found[name].header.stamp.sec for name in ("path", "frontiers", "subgoal") if name in found}
+        assert stamps == {marker.header.stamp.sec for marker in found["markers"].markers}
+        return found
+
     def await_no_planner(self) -> None:
         wait_until(lambda: not self.map.get_matched_subscriptions(), "the planner is still there")
 
@@ -100,14 +111,14 @@ def ours(message: Any) -> Any:
     name = getattr(message, "__msgtype__", None)
     if name is None:
         return message
-    members = {field: ours(value) for field, value in vars(message).items() if not field.startswith("__")}
+    members = {field: ours(getattr(message, field)) for field, _ in ros.STORE.fielddefs[name][1]}
     return getattr(TYPES, name.rpartition("/")[2])(**members)
 
 
 def start_planner(domain: int, *options: str, log: Any = subprocess.DEVNULL) -> subprocess.Popen:
     """The participant as its command runs it."""
     places = os.pathsep.join([str(ROOT), str(ROOT / "ros2/dc2g_planner"), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "CYCLONEDDS_URI": LOOPBACK, "PYTHONPATH": places}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": places}
     command = [sys.executable, "-m", "dc2g_planner.participant", *options]
     return subprocess.Popen(command, env=environment, stderr=log, text=True)
 
@@ -116,3 +127,20 @@ def end(process: subprocess.Popen, number: int = signal.SIGTERM) -> int:
     """End a process by a signal. Returns its exit status."""
     process.send_signal(number)
     return process.wait(timeout=20)
+
+
+def start_robot(domain: int, first: int) -> subprocess.Popen:
+    """A robot in a process of its own that publishes maps with numbers from `first`, 50 a second."""
+    return subprocess.Popen([sys.executable, "-c", _ENDLESS.format(domain=domain, first=first)], cwd=ROOT)
+
+
+_ENDLESS = """
+import itertools, sys, time
+sys.path.insert(0, "ros2/dc2g_planner")
+from tests.support import dds, metric_maps
+robot = dds.Robot({domain})
+message = dds.ours(metric_maps.map_message(metric_maps.CORRIDOR))
+for message.header.stamp.sec in itertools.count({first}):
+    robot.map.write(message)
+    time.sleep(0.02)
+"""

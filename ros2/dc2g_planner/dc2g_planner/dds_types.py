@@ -1,7 +1,8 @@
-"""ROS 2 messages as types of DDS, from their definitions. Other doors to the planner do not need this module.
+"""ROS 2 messages as types of DDS, from their definitions.
 
-Names on DDS are those of ROS: `nav_msgs/Path` is `nav_msgs::msg::dds_::Path_`. Only ROS's generated IDL appends `_` to
-members: members have no names in the data, and those in the type information of ROS 2 (`rmw_cyclonedds`) have no `_`.
+`nav_msgs/Path` is `nav_msgs::msg::dds_::Path_` on DDS. Types are compared by these names only, unless both sides send
+type information: there, newer versions of `rmw_cyclonedds` have the members' names as they are in ROS, without the `_`
+that ROS's generated IDL appends. Data contain no names.
 """
 
 import dataclasses

@@ -35,7 +35,7 @@ _LOOK_UP = 0.2
 def quality_of_service(*, latched: bool, depth: int = 1) -> Qos:
     """Reliable, as ROS offers and requests it.
 
-    Data are encoded in CDR (XCDR1), the only encoding of ROS 2. A type with other names of members is the same type.
+    Data are encoded in CDR (XCDR1), the encoding of ROS 2.
 
     Args:
       latched: whether subscribers that come later get the last message (transient local in ROS).
@@ -47,7 +47,6 @@ def quality_of_service(*, latched: bool, depth: int = 1) -> Qos:
         Policy.History.KeepLast(depth),
         Policy.WriterDataLifecycle(autodispose=False),
         Policy.DataRepresentation(use_cdrv0_representation=True),
-        Policy.TypeConsistency.AllowTypeCoercion(ignore_member_names=True),
     )
 
 
