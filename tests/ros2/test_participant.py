@@ -2,8 +2,11 @@
 
 import functools
 import itertools
+import json
 import math
+import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -24,13 +27,13 @@ from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, B
 from cyclonedds.core import Policy
 from cyclonedds.util import duration
 from dc2g_planner import dds_types, messages, participant
-from dc2g_planner.decider import PARAMETERS, planner_options
+from dc2g_planner.decider import PARAMETERS, Decider, planner_options
 from dc2g_planner.frames import Frames
 from dc2g_planner.planner_process import MapPose, PlannerHere, Refused
 
 import dc2g_jax
 from tests.support import dds, ros
-from tests.support.metric_maps import CORRIDOR, REACH, M, in_map, map_message, transform_of
+from tests.support.metric_maps import CORRIDOR, REACH, YAW, M, in_map, map_message, transform_of
 from tests.support.places import ROOT
 from tests.support.refusals import refusal_of
 
@@ -120,6 +123,12 @@ def at(column: int, frame: str = "map", child: str = "base_link"):
     return dds.ours(M.TFMessage(transforms=[M.TransformStamped(header=header, child_frame_id=child, transform=place)]))
 
 
+def stamped(frame: str, child: str, x: float, y: float, yaw: float):
+    turn = M.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+    place = M.Transform(translation=M.Vector3(x=x, y=y, z=0.0), rotation=turn)
+    return M.TransformStamped(header=M.Header(frame_id=frame), child_frame_id=child, transform=place)
+
+
 def test_topics_have_the_names_and_qualities_of_ros(wire):
     """What others discover. An entity of RTPS without a key ends in 03 (writer) or 04 (reader)."""
     robot = wire(drive=True)
@@ -156,16 +165,18 @@ def test_a_decision_is_published_as_by_the_node(wire):
     robot = wire()
     robot.tf_static.write(at(2))
     robot.map.write(numbered(7))
-    seen, pose = messages.map_of(map_message(CORRIDOR)), MapPose(*in_map(2, 1, 3), math.pi / 6)
-    decision = PlannerHere(**planner_options(dict.fromkeys(PARAMETERS, "") | SIZES | {"field_of_view": 90.0})).plan(
-        seen, pose, []
-    )
-    found, expected = robot.answer(), messages.Outgoing(M, "map", M.Time(sec=7)).all(decision)
+    found, expected = robot.answer(), messages.Outgoing(M, "map", M.Time(sec=7)).all(decision_in_corridor())
     for name, message in expected:
         bytes_of = ros.STORE.serialize_cdr(message, message.__msgtype__)
         assert close(found[name], type(found[name]).deserialize(bytes(bytes_of))), name
     time.sleep(0.1)
     assert [dds.taken(reader) for reader in robot.outputs.values()] == [[]] * 6, "nothing is new"
+
+
+def decision_in_corridor():
+    """What the planner decides at the second column."""
+    pose = MapPose(*in_map(2, 1, len(CORRIDOR)), YAW)
+    return PlannerHere(**SIZES, field_of_view=90.0).plan(messages.map_of(map_message(CORRIDOR)), pose, [])
 
 
 def close(one, other) -> bool:
@@ -187,7 +198,7 @@ def test_a_problem_is_one_line_and_ends_with_its_cause(wire):
     time.sleep(0.1)
     assert log == ["warning: no decision: base_link is not connected to map; publish transforms between them on tf"]
     robot.tf.write(at(2, child="odom"))
-    robot.tf.write(dds.ours(M.TFMessage(transforms=[dds_identity("odom", "base_link")])))
+    robot.tf.write(dds.ours(M.TFMessage(transforms=[stamped("odom", "base_link", 0.0, 0.0, 0.0)])))
     assert robot.answer()["path"].header.stamp.sec == 1
     wrong = dds.ours(map_message(CORRIDOR))
     wrong.info.width += 1
@@ -206,11 +217,6 @@ def test_a_problem_is_one_line_and_ends_with_its_cause(wire):
     assert log[3].startswith("warning: a message on rt/map cannot be read: ")
     robot.map.write(numbered(4))
     assert robot.answer()["path"].header.stamp.sec == 4
-
-
-def dds_identity(frame: str, child: str):
-    turn = M.Transform(rotation=M.Quaternion(w=1.0))
-    return M.TransformStamped(header=M.Header(frame_id=frame), child_frame_id=child, transform=turn)
 
 
 def test_only_the_newest_of_many_maps_is_planned_on(wire):
@@ -249,11 +255,53 @@ def test_it_drives_only_if_asked_and_to_each_subgoal_once(wire):
         subgoal = robot.answer()["subgoal"]
     (goal,) = dds.taken(robot.goal)
     assert goal.pose == subgoal.pose
-    door = M.Pose(position=M.Point(x=(place := in_map(5, 0, 3))[0], y=place[1], z=0.0))
+    x, y = in_map(5, 0, len(CORRIDOR))
+    door = M.Pose(position=M.Point(x=x, y=y, z=0.0))
     robot.doors.write(dds.ours(M.PoseArray(header=M.Header(frame_id="map"), poses=[door])))
     answer = robot.answer()
     assert answer["mode"].data == "to_goal"
-    assert [goal.pose for goal in dds.taken(robot.goal)] == [answer["path"].poses[-2].pose], "in front of the door"
+    in_front = answer["path"].poses[-2].pose
+    assert [goal.pose for goal in dds.taken(robot.goal)] == [in_front]
+    robot.goal = robot.reader("rt/goal_pose", "PoseStamped", dds.VOLATILE)  # as Nav2, started again
+    robot.map.write(numbered(4))
+    robot.answer()
+    assert [goal.pose for goal in dds.taken(robot.goal)] == [in_front]
+    del robot.goal
+    robot.map.write(numbered(5))
+    dds.wait_until(lambda: wire.log, "no line about Nav2")
+    assert wire.log == ["warning: nobody reads goal_pose; start Nav2"]
+
+
+@pytest.mark.parametrize(
+    ("member", "value"),
+    [
+        *itertools.product(["info.resolution"], [0.0, -1.0, math.inf, math.nan, 1e-30, 1e30]),
+        *itertools.product(["info.origin.position.x", "info.origin.orientation.w"], [math.inf, math.nan, 1e300]),
+        *[("data", [-128] * 33), ("data", [127] * 33), ("data", []), ("info.width", 0), ("header.frame_id", "")],
+        *itertools.product(["translation.x", "rotation.z"], [math.inf, -math.inf, math.nan]),
+        *[("translation.x", 99.0), ("translation.x", 1e300), ("position.x", math.inf), ("position.x", math.nan)],
+    ],
+)
+def test_odd_numbers_are_refused(planner, member, value):
+    """In a map, a transform or a door: with one line."""
+    decider, frames, seen = Decider(), Frames(), dds.ours(map_message(CORRIDOR))
+    transforms = dds.ours(M.TFMessage(transforms=[stamped("map", "base_link", *in_map(2, 1, 3), 0.0)]))
+    doors = dds.TYPES.PoseArray(header=seen.header, poses=[dds.TYPES.Pose()])
+    for message in (seen, transforms.transforms[0].transform, doors.poses[0]):
+        *above, last = member.split(".")
+        if hasattr(message, (above or [last])[0]):
+            setattr(functools.reduce(getattr, above, message), last, value)
+    decider.see_map(seen)
+    decider.see_doors(doors)
+    frames.see(transforms)
+    with pytest.raises(Refused) as caught:
+        decider.decide(planner, lambda frame: frames.pose("base_link", frame))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return PlannerHere(**SIZES)
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------
@@ -287,7 +335,7 @@ def test_frames_that_are_not_connected_or_go_round_in_a_circle():
     frames = Frames()
     refusal_of(Refused, lambda: frames.pose("base_link", "map"), "base_link is not connected to map")
     for frame, child in (("map", "odom"), ("odom", "map"), ("base_link", "base_link")):
-        frames.see(M.TFMessage(transforms=[dds_identity(frame, child)]))
+        frames.see(M.TFMessage(transforms=[stamped(frame, child, 0.0, 0.0, 0.0)]))
     assert frames.pose("map", "odom") == (0.0, 0.0, 0.0)
     refusal_of(Refused, lambda: frames.pose("base_link", "map"), "base_link is not connected to map")
 
@@ -395,6 +443,46 @@ def test_peers_that_are_killed_and_come_back(tmp_path):
             each.wait()
 
 
+@pytest.mark.slow
+def test_a_node_of_ros_gets_the_decisions():
+    """A robot in rclpy, with the DDS of ROS, publishes 500 maps, each after the answer to the one before.
+
+    Transforms come from a robot without ROS. DC2G_ROS_PYTHON is a Python that has rclpy and these messages.
+    """
+    python = os.environ.get("DC2G_ROS_PYTHON", sys.executable)
+    if subprocess.run([python, "-c", "import rclpy, nav_msgs, visualization_msgs"], capture_output=True).returncode:
+        pytest.skip("no rclpy: pip install ros-rclpy ros-nav-msgs ros-visualization-msgs ros-rmw-fastrtps-cpp")
+    domain, corridor = dds.free_domain(), map_message(CORRIDOR)
+    origin = corridor.info.origin
+    given = {"cells": corridor.data.tolist(), "shape": CORRIDOR.shape, "resolution": corridor.info.resolution}
+    given |= {"origin": (origin.position.x, origin.position.y), "maps": 500}
+    given |= {"turn": (origin.orientation.z, origin.orientation.w)}
+    robot, planner = dds.Robot(domain), dds.start_planner(domain, *OPTIONS, "--drive")
+    robot.tf_static.write(at(2))
+    local = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    try:
+        robot.await_planner()
+        node = subprocess.run(
+            [python, str(ROOT / "tests/support/ros_node.py")],
+            input=json.dumps(given),
+            env=os.environ | local,
+            stdout=subprocess.PIPE,
+            text=True,
+            timeout=100,
+            check=True,
+        )
+        assert dds.end(planner) == 0
+    finally:
+        planner.kill()
+        planner.wait()
+    answer, decision = json.loads(node.stdout), decision_in_corridor()
+    assert (answer["why"], answer["mode"], answer["markers"][1:]) == (decision.why, decision.mode, [6, 0, 9])
+    assert decision.subgoal is not None
+    places = {"path": decision.path, "frontiers": decision.candidates, "subgoal": [decision.subgoal]}
+    for name, poses in (places | {"goals": [decision.subgoal]}).items():
+        np.testing.assert_allclose(answer[name], [pose[:2] for pose in poses], atol=1e-6, err_msg=name)
+
+
 def drive_in(room: np.ndarray, resolution: float, start: tuple[float, float], steps: int):
     """The maps that a robot with a lidar of 3 m publishes, and its poses, while it follows the planner.
 
@@ -413,12 +501,6 @@ def drive_in(room: np.ndarray, resolution: float, start: tuple[float, float], st
         grid = dc2g_jax.MetricMap(seen, resolution, dc2g_jax.grid.MapFrame(0.0, 0.0, 0.0))
         path = planner.plan(grid, (x, y, yaw)).path
         x, y, yaw = path[min(6, len(path) - 1)] if path else (x, y, yaw)
-
-
-def stamped(frame: str, child: str, x: float, y: float, yaw: float):
-    turn = M.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-    place = M.Transform(translation=M.Vector3(x=x, y=y, z=0.0), rotation=turn)
-    return M.TransformStamped(header=M.Header(frame_id=frame), child_frame_id=child, transform=place)
 
 
 @pytest.mark.slow

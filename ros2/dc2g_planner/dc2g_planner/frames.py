@@ -12,9 +12,10 @@ _Matrix = npt.NDArray[np.float64]
 
 
 def _matrix_of(transform: Any) -> _Matrix:
-    """A `geometry_msgs/Transform` as a 4 x 4 matrix."""
+    """A `geometry_msgs/Transform` as a 4 x 4 matrix. A quaternion of zeros, which nobody has set, turns nothing."""
     at, turn = transform.translation, transform.rotation
-    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    length = math.hypot(turn.x, turn.y, turn.z, turn.w) or 1.0
+    x, y, z, w = turn.x / length, turn.y / length, turn.z / length, turn.w / length
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), at.x],
@@ -42,11 +43,12 @@ class Frames:
         Raises:
           Refused: they are not connected.
         """
-        ours, theirs = self._above(of), self._above(frame)
-        common = next((name for name in ours if name in theirs), None)
-        if common is None:
-            raise Refused(f"{of} is not connected to {frame}; publish transforms between them on tf")
-        pose = np.linalg.inv(theirs[common]) @ ours[common]
+        with np.errstate(invalid="ignore"):  # the planner refuses what is not finite
+            ours, theirs = self._above(of), self._above(frame)
+            common = next((name for name in ours if name in theirs), None)
+            if common is None:
+                raise Refused(f"{of} is not connected to {frame}; publish transforms between them on tf")
+            pose = np.linalg.inv(theirs[common]) @ ours[common]
         return MapPose(float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0]))
 
     def _above(self, frame: str) -> dict[str, _Matrix]:

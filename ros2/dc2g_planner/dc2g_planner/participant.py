@@ -28,6 +28,12 @@ from .planner_process import AnyPlanner, MapPose, PlannerHere, Refused
 #: Largest number of a domain, whose ports are those of UDP.
 _LAST_DOMAIN = 232
 
+#: Type information of Fast DDS, which Cyclone DDS cannot read, and that of other versions of Cyclone DDS do not count.
+_SETTINGS = (
+    "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
+    "</Domain></CycloneDDS>"
+)
+
 #: Seconds after which the thread that reads sees that it shall end.
 _LOOK_UP = 0.2
 
@@ -51,10 +57,10 @@ def quality_of_service(*, latched: bool, depth: int = 1) -> Qos:
 
 
 class Participant:
-    """Reads maps, doors and transforms from DDS, and publishes what the planner decides, for `seconds` at a time.
+    """Reads maps, doors and transforms from DDS, and publishes what the planner decides.
 
     The outputs are those of the node, with the stamp of the map that was decided on. What peers do does not end it: a
-    message that cannot be used is one line in the log, and so is what prevents a decision, once.
+    message that cannot be read is one line in the log, and so is what prevents a decision, once.
 
     Args:
       domain: number of the DDS domain, `ROS_DOMAIN_ID`.
@@ -81,6 +87,7 @@ class Participant:
         self._given, self._planner, self._namespace, self._log = given, planner, namespace, log
         self._decider, self._frames = Decider(), Frames()
         self._goal: MapPose | None = None
+        self._listeners: set[int] = set()
         self._problem = ""
         try:
             self._dds = DomainParticipant(domain)
@@ -145,31 +152,39 @@ class Participant:
             return []
 
     def _decide(self) -> None:
-        """If anything is new, decide and publish the decision. Each problem is logged once."""
+        """If anything is new, decide and publish the decision. Log each problem once."""
         try:
             decided = self._decider.decide(self._planner, self._pose_in)
-            if decided is not None:
-                self._problem = ""
-                self._tell(decided)
+            if decided is None:
+                return
+            problem = self._tell(decided)
         except (Refused, DDSException) as error:
-            if str(error) != self._problem:
-                self._problem = str(error)
-                self._log(f"warning: no decision: {error}")
+            problem = f"no decision: {error}"
+        if problem and problem != self._problem:
+            self._log(f"warning: {problem}")
+        self._problem = problem
 
     def _pose_in(self, frame: str) -> MapPose:
         """The robot's pose."""
         return self._frames.pose(self._given["base_frame"], frame)
 
-    def _tell(self, decided: Decided) -> None:
-        """Publish a decision, and the place to drive to if it is another than before."""
+    def _tell(self, decided: Decided) -> str:
+        """Publish a decision and follow it. Returns what prevents that."""
         header, _, decision = decided
         out = Outgoing(TYPES, header.frame_id, header.stamp)
         for name, message in out.all(decision):
             self._out[name].write(message)
         place = place_to_drive_to(decision)
-        if self._given["drive"] and place is not None and (self._goal is None or not is_same(place, self._goal)):
+        if not self._given["drive"] or place is None:
+            return ""
+        listeners = set(self._to_nav2.get_matched_subscriptions())
+        if not listeners:
+            self._decider.is_news = True
+            return "nobody reads goal_pose; start Nav2"
+        if self._goal is None or not is_same(place, self._goal) or listeners - self._listeners:
             self._to_nav2.write(out.stamped(place))
-            self._goal = place
+            self._goal, self._listeners = place, listeners
+        return ""
 
 
 def _log(line: str) -> None:
@@ -212,6 +227,8 @@ def main() -> None:
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
+    # Settings of the user come later and win.
+    os.environ["CYCLONEDDS_URI"] = ",".join(filter(None, (_SETTINGS, os.environ.get("CYCLONEDDS_URI"))))
     try:
         domain = _domain()
         planner = PlannerHere(**planner_options(given))
