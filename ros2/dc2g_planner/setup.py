@@ -1,4 +1,4 @@
-"""Installation by colcon."""
+"""Installation by colcon, or by pip."""
 
 from setuptools import setup
 

@@ -4,8 +4,10 @@ import ast
 import functools
 import importlib
 import math
+import os
 import re
 import runpy
+import subprocess
 import sys
 import threading
 from types import ModuleType, SimpleNamespace
@@ -432,6 +434,15 @@ def test_the_planner_in_a_process_of_its_own():
     refusal(lambda: alone.plan(seen, MapPose(99.0, 99.0, 0.0), []), "off the map")
     alone.close()
     refusal(lambda: alone.plan(seen, robot, []), "has ended")
+
+
+@pytest.mark.slow
+def test_the_test_of_the_package_passes_on_rclpy():
+    """With stand-ins for tf2_ros and nav2_msgs only: parameters, states, topics and the helper process are real."""
+    command = [ros.python_with_rclpy(), str(ROOT / "tests/support/ros_package_test.py")]
+    planner = {"DC2G_PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
+    environment = os.environ | ros.only_here(ros.free_domain()) | planner
+    subprocess.run(command, env=environment, timeout=100, check=True)
 
 
 def test_the_node_runs_in_the_python_of_ros():

@@ -87,15 +87,15 @@ def test_the_bytes_of_a_message_are_those_of_ros(name, data):
 @pytest.fixture
 def wire():
     """A robot, and a function that starts the planner in this process; the lines of its log are an attribute."""
-    robot, ended, threads = dds.Robot(domain := dds.free_domain()), threading.Event(), []
+    robot, ended, threads = dds.Robot(domain := ros.free_domain()), threading.Event(), []
 
     def start(planner=None, **given):
-        given = {name: default for name, (default, _) in PARAMETERS.items()} | SIZES | {"period": 0.001} | given
+        given = vars(participant._parser().parse_args(OPTIONS)) | given
         planner = planner or PlannerHere(**planner_options(given))
-        made = participant.Participant(domain, given, planner, log=start.log.append)
+        made = participant.Participant(domain, given, planner, start.log.append)
         threads.append(threading.Thread(target=made.run, args=(ended,)))
         threads[-1].start()
-        robot.await_planner()
+        dds.wait_until(robot.tf.get_matched_subscriptions, "nobody reads tf")
         return robot
 
     start.log = []
@@ -129,15 +129,20 @@ def stamped(frame: str, child: str, x: float, y: float, yaw: float):
     return M.TransformStamped(header=M.Header(frame_id=frame), child_frame_id=child, transform=place)
 
 
-def test_topics_have_the_names_and_qualities_of_ros(wire):
-    """What others discover. An entity of RTPS without a key ends in 03 (writer) or 04 (reader)."""
-    robot = wire(drive=True)
-    own = {robot._dds.guid.bytes[:12]}
+def discovered(robot) -> dict:
+    """The readers and writers of others, by topic."""
     found = {}
     for topic in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription):
         for each in BuiltinDataReader(robot._dds, topic).read(100):
-            if each.key.bytes[:12] not in own:
+            if each.key.bytes[:12] != robot._dds.guid.bytes[:12]:
                 found[each.topic_name] = each
+    return found
+
+
+def test_topics_have_the_names_and_qualities_of_ros(wire):
+    """What others discover. An entity of RTPS without a key ends in 03 (writer) or 04 (reader)."""
+    robot = wire(drive=True)
+    found = discovered(robot)
     depths = {"rt/tf": 100, "rt/tf_static": 100}
     kinds = {"rt/map": "nav_msgs OccupancyGrid", "rt/doors": "geometry_msgs PoseArray"}
     kinds |= {"rt/tf": "tf2_msgs TFMessage", "rt/tf_static": "tf2_msgs TFMessage"}
@@ -156,6 +161,13 @@ def test_topics_have_the_names_and_qualities_of_ros(wire):
         assert isinstance(each.qos[Policy.Reliability], Policy.Reliability.Reliable), name
         assert each.qos[Policy.DataRepresentation] == Policy.DataRepresentation(use_cdrv0_representation=True), name
         assert each.key.bytes[-1] in (3, 4), name
+
+
+def test_names_in_a_namespace(wire):
+    robot = wire(namespace="robot1", map="/semantic")
+    names = discovered(robot).keys()
+    assert {"rt/semantic", "rt/tf", "rt/tf_static", "rt/robot1/doors", "rt/robot1/dc2g_planner/path"} <= names
+    assert not names & {"rt/map", "rt/doors", "rt/robot1/tf"}
 
 
 # --- decisions --------------------------------------------------------------------------------------------------------
@@ -380,7 +392,7 @@ def test_ten_thousand_updates():
     pose that was acknowledged before a map is the pose in its decision, which is checked for every 250th. (Before that,
     DDS promises no order between topics.) Of maps sent in a burst, the newest is decided on last, and nothing follows.
     """
-    domain = dds.free_domain()
+    domain = ros.free_domain()
     planner, robot = dds.start_planner(domain, *OPTIONS), dds.Robot(domain)
     try:
         robot.await_planner()
@@ -413,7 +425,7 @@ def test_ten_thousand_updates():
 @pytest.mark.slow
 def test_peers_that_are_killed_and_come_back(tmp_path):
     """Either side is killed and started again; whoever comes later gets the latest map and the latest decision."""
-    domain = dds.free_domain()
+    domain = ros.free_domain()
     robot = dds.Robot(domain)
     robot.tf_static.write(at(2))
     for number in range(3):
@@ -447,25 +459,22 @@ def test_peers_that_are_killed_and_come_back(tmp_path):
 def test_a_node_of_ros_gets_the_decisions():
     """A robot in rclpy, with the DDS of ROS, publishes 500 maps, each after the answer to the one before.
 
-    Transforms come from a robot without ROS. DC2G_ROS_PYTHON is a Python that has rclpy and these messages.
+    Transforms come from a robot without ROS.
     """
-    python = os.environ.get("DC2G_ROS_PYTHON", sys.executable)
-    if subprocess.run([python, "-c", "import rclpy, nav_msgs, visualization_msgs"], capture_output=True).returncode:
-        pytest.skip("no rclpy: pip install ros-rclpy ros-nav-msgs ros-visualization-msgs ros-rmw-fastrtps-cpp")
-    domain, corridor = dds.free_domain(), map_message(CORRIDOR)
+    python = ros.python_with_rclpy()
+    domain, corridor = ros.free_domain(), map_message(CORRIDOR)
     origin = corridor.info.origin
     given = {"cells": corridor.data.tolist(), "shape": CORRIDOR.shape, "resolution": corridor.info.resolution}
     given |= {"origin": (origin.position.x, origin.position.y), "maps": 500}
     given |= {"turn": (origin.orientation.z, origin.orientation.w)}
     robot, planner = dds.Robot(domain), dds.start_planner(domain, *OPTIONS, "--drive")
     robot.tf_static.write(at(2))
-    local = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     try:
         robot.await_planner()
         node = subprocess.run(
             [python, str(ROOT / "tests/support/ros_node.py")],
             input=json.dumps(given),
-            env=os.environ | local,
+            env=os.environ | ros.only_here(domain),
             stdout=subprocess.PIPE,
             text=True,
             timeout=100,
@@ -519,7 +528,7 @@ def test_a_bag_over_the_wire_leads_to_the_decisions_of_the_planner(tmp_path, sha
             message = M.OccupancyGrid(header=header, info=info, data=seen.ravel())
             for name, each in (("/tf", M.TFMessage(transforms=transforms)), ("/map", message)):
                 bag.write(topics[name], number, ros.STORE.serialize_cdr(each, kinds[name]))
-    domain, offline = dds.free_domain(), dc2g_jax.MetricPlanner(cell_size=0.25, sensing_range=3.0, largest=(70, 130))
+    domain, offline = ros.free_domain(), dc2g_jax.MetricPlanner(cell_size=0.25, sensing_range=3.0, largest=(70, 130))
     planner, robot, modes = (
         dds.start_planner(domain, "--period", "0.001", "--largest", "70", "130"),
         dds.Robot(domain),

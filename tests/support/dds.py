@@ -1,9 +1,7 @@
 """A robot without ROS on DDS, over loopback, and the planner's participant in a process of its own."""
 
 import os
-import random
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -31,18 +29,6 @@ os.environ["CYCLONEDDS_URI"] = (
 )
 
 LATCHED, VOLATILE = quality_of_service(latched=True), quality_of_service(latched=False)
-
-
-def free_domain() -> int:
-    """A domain whose first port nobody has."""
-    while True:
-        domain = random.SystemRandom().randrange(1, 200)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("127.0.0.1", 7410 + 250 * domain))
-            except OSError:
-                continue
-        return domain
 
 
 def wait_until(condition: Callable[[], Any], what: str, seconds: float = 30.0) -> Any:
@@ -93,9 +79,6 @@ class Robot:
         assert stamps == {marker.header.stamp.sec for marker in found["markers"].markers}
         return found
 
-    def await_no_planner(self) -> None:
-        wait_until(lambda: not self.map.get_matched_subscriptions(), "the planner is still there")
-
 
 def taken(reader: DataReader) -> list[Any]:
     """The messages that arrived, without notices of senders that have gone."""
@@ -118,7 +101,7 @@ def ours(message: Any) -> Any:
 def start_planner(domain: int, *options: str, log: Any = subprocess.DEVNULL) -> subprocess.Popen:
     """The participant as its command runs it."""
     places = os.pathsep.join([str(ROOT), str(ROOT / "ros2/dc2g_planner"), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": places}
+    environment = os.environ | ros.only_here(domain) | {"PYTHONPATH": places}
     command = [sys.executable, "-m", "dc2g_planner.participant", *options]
     return subprocess.Popen(command, env=environment, stderr=log, text=True)
 

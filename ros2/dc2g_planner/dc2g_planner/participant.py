@@ -28,7 +28,8 @@ from .planner_process import AnyPlanner, MapPose, PlannerHere, Refused
 #: Largest number of a domain, whose ports are those of UDP.
 _LAST_DOMAIN = 232
 
-#: Type information of Fast DDS, which Cyclone DDS cannot read, and that of other versions of Cyclone DDS do not count.
+#: Compare types by name only: Cyclone DDS cannot read the type information of Fast DDS (vendor 1.15), and that of nodes
+#: on Cyclone DDS (1.16) may have other names of members.
 _SETTINGS = (
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
     "</Domain></CycloneDDS>"
@@ -39,9 +40,7 @@ _LOOK_UP = 0.2
 
 
 def quality_of_service(*, latched: bool, depth: int = 1) -> Qos:
-    """Reliable, as ROS offers and requests it.
-
-    Data are encoded in CDR (XCDR1), the encoding of ROS 2.
+    """Reliable, in CDR (XCDR1), as ROS offers and requests it.
 
     Args:
       latched: whether subscribers that come later get the last message (transient local in ROS).
@@ -64,27 +63,16 @@ class Participant:
 
     Args:
       domain: number of the DDS domain, `ROS_DOMAIN_ID`.
-      given: the value of each of `PARAMETERS`.
+      given: values of the options: `PARAMETERS`, `map` and `namespace`.
       planner: makes the decisions.
-      map_topic: topic of the map in ROS, such as `map`, or `/map` whatever the namespace.
-      namespace: that of the topics; tf has none.
       log: gets the lines of the log.
 
     Raises:
       Refused: DDS cannot be started.
     """
 
-    def __init__(
-        self,
-        domain: int,
-        given: Mapping[str, Any],
-        planner: AnyPlanner,
-        *,
-        map_topic: str = "map",
-        namespace: str = "",
-        log: Callable[[str], None] = print,
-    ):
-        self._given, self._planner, self._namespace, self._log = given, planner, namespace, log
+    def __init__(self, domain: int, given: Mapping[str, Any], planner: AnyPlanner, log: Callable[[str], None] = print):
+        self._given, self._planner, self._log = given, planner, log
         self._decider, self._frames = Decider(), Frames()
         self._goal: MapPose | None = None
         self._listeners: set[int] = set()
@@ -99,7 +87,7 @@ class Participant:
             self._to_nav2 = self._writer("goal_pose", "PoseStamped", quality_of_service(latched=False))
         # As tf2 does, keep many transforms: each sender tells others.
         self._read = [
-            (self._reader(map_topic, "OccupancyGrid", latched), self._decider.see_map),
+            (self._reader(given["map"], "OccupancyGrid", latched), self._decider.see_map),
             (self._reader("doors", "PoseArray", quality_of_service(latched=False)), self._decider.see_doors),
             (self._reader("/tf", "TFMessage", quality_of_service(latched=False, depth=100)), self._frames.see),
             (self._reader("/tf_static", "TFMessage", quality_of_service(latched=True, depth=100)), self._frames.see),
@@ -119,9 +107,9 @@ class Participant:
             reading.join()
 
     def _topic(self, name: str, kind: str) -> Topic:
-        """The topic of DDS for a name in ROS."""
-        path = name[1:] if name.startswith("/") else f"{self._namespace.strip('/')}/{name}".lstrip("/")
-        return Topic(self._dds, f"rt/{path}", getattr(TYPES, kind))
+        """The topic of DDS for a name in ROS, which is in the namespace unless it begins with `/`."""
+        path = name if name.startswith("/") else f"{self._given['namespace']}/{name}"
+        return Topic(self._dds, f"rt/{path.lstrip('/')}", getattr(TYPES, kind))
 
     def _writer(self, name: str, kind: str, quality: Qos) -> DataWriter:
         return DataWriter(self._dds, self._topic(name, kind), qos=quality)
@@ -204,8 +192,8 @@ def _parser() -> argparse.ArgumentParser:
             parser.add_argument(f"--{name}", nargs=number, type=type(default[0]), default=default, help=words)
         else:
             parser.add_argument(f"--{name}", type=type(default), default=default, help=words)
-    parser.add_argument("--map", default="map", help="topic of the map")
-    parser.add_argument("--namespace", default="", help="namespace of the topics")
+    parser.add_argument("--map", default="map", help="topic of the map; /map is in no namespace")
+    parser.add_argument("--namespace", default="", help="namespace of the topics, such as robot1")
     return parser
 
 
@@ -232,9 +220,7 @@ def main() -> None:
     try:
         domain = _domain()
         planner = PlannerHere(**planner_options(given))
-        participant = Participant(
-            domain, given, planner, map_topic=given["map"], namespace=given["namespace"], log=_log
-        )
+        participant = Participant(domain, given, planner, _log)
     except Refused as error:
         sys.exit(f"error: {error}")
     _log(f"waits for maps on domain {domain}")
