@@ -1,4 +1,4 @@
-"""Installation by colcon."""
+"""Installation by colcon, or by pip."""
 
 from setuptools import setup
 
@@ -19,5 +19,5 @@ setup(
     zip_safe=True,
     description="Exploration toward a door in unknown environments, with the planners of dc2g_jax.",
     license="MIT",
-    entry_points={"console_scripts": [f"{NAME} = {NAME}.node:main"]},
+    entry_points={"console_scripts": [f"{NAME} = {NAME}.node:main", f"{NAME}_dds = {NAME}.participant:main"]},
 )

@@ -4,8 +4,10 @@ import ast
 import functools
 import importlib
 import math
+import os
 import re
 import runpy
+import subprocess
 import sys
 import threading
 from types import ModuleType, SimpleNamespace
@@ -15,63 +17,26 @@ import numpy as np
 import pytest
 import yaml
 from dc2g_planner import messages, planner_process
-from dc2g_planner.planner_process import Decision, MapPose, Planner, Refused
+from dc2g_planner.planner_process import Decision, MapPose, Refused
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 
 from dc2g_jax._src.planning.online import OnlinePlanner
-from dc2g_jax._src.runtime.errors import InputError
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
+from tests.support.metric_maps import CORRIDOR, HOUSE, REACH, ROAD, YAW, M, in_map, map_message, transform_of
 from tests.support.places import ROOT
 from tests.support.refusals import refusal_of
 
-ROAD, HOUSE = 3, 7
-M = ros.MESSAGES
 
-#: Meters of a cell, as in a message; sensing range in cells; where the grid lies.
-CELL, REACH = float(np.float32(0.25)), 4
-X, Y, YAW = -2.0, 5.5, math.pi / 6
-
-
-def quaternion(yaw: float):
-    return M.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-
-
-def in_map(column: float, row: float, rows: int) -> tuple[float, float]:
-    """The middle of a cell in meters; the row counts from the top."""
-    right, up = (column + 0.5) * CELL, (rows - row - 0.5) * CELL
-    return X + right * math.cos(YAW) - up * math.sin(YAW), Y + right * math.sin(YAW) + up * math.cos(YAW)
-
-
-def map_message(terrain: np.ndarray):
-    """Observed terrain with rows from the top, 0 unknown, as a map: -1, 0 or 100, with rows from below."""
-    values = np.where(terrain == 0, -1, np.where(np.isin(terrain, oracle.TRAVERSABLE_CLASSES), 0, 100))
-    rows, columns = terrain.shape
-    origin = M.Pose(position=M.Point(x=X, y=Y, z=0.0), orientation=quaternion(YAW))
-    info = M.MapMetaData(resolution=CELL, width=columns, height=rows, origin=origin)
-    return M.OccupancyGrid(header=M.Header(frame_id="map"), info=info, data=np.ravel(values[::-1]).astype(np.int8))
-
-
-def transform_of(pose, rows: int):
-    x, y = in_map(pose[0], pose[1], rows)
-    return M.Transform(translation=M.Vector3(x=x, y=y, z=0.0), rotation=quaternion(YAW - pose[2] * math.pi / 2))
-
-
-class InProcess(planner_process.PlannerProcess):
+class InProcess(planner_process.PlannerHere):
     """The planner of the node without a process of its own, which would take seconds to start."""
 
     def __init__(self, python: str, **options):
-        try:
-            self.planner = Planner(**options)
-        except InputError as error:
-            raise Refused(str(error)) from None
-
-    def _ask(self, name, arguments):
-        return getattr(self.planner, name)(*arguments)
+        super().__init__(**options)
 
     def close(self):
-        del self.planner
+        pass
 
 
 def run(seed: int, steps: int = 12):
@@ -172,9 +137,6 @@ def start(monkeypatch):
     return started
 
 
-CORRIDOR = np.pad(np.array([[ROAD] * 9 + [0]], np.uint8), ((1, 1), (1, 0)), constant_values=HOUSE)
-
-
 def at(node, pose, terrain=CORRIDOR) -> None:
     """The robot is at a pose and publishes a map; the node's timer ticks."""
     node._tf.transforms["map", "base_link"] = transform_of(pose, len(terrain))
@@ -267,7 +229,8 @@ def test_arguments_of_the_launch_file(monkeypatch):
 def test_the_package_declares_what_it_imports():
     folder = ROOT / "ros2/dc2g_planner"
     code = "".join(path.read_text() for path in folder.rglob("*.py") if path.name != "setup.py")
-    imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - {"dc2g_jax"}
+    from_pip = {"dc2g_jax", "cyclonedds"}
+    imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - from_pip
     packages = {"numpy": "python3-numpy", "tf2_ros": "tf2_ros_py"}
     declared = {each.text for each in ElementTree.parse(folder / "package.xml").iter() if "_depend" in each.tag}
     assert {packages.get(name, name) for name in imported - {"dc2g_planner"}} == declared - {"python3-pytest"}
@@ -471,6 +434,15 @@ def test_the_planner_in_a_process_of_its_own():
     refusal(lambda: alone.plan(seen, MapPose(99.0, 99.0, 0.0), []), "off the map")
     alone.close()
     refusal(lambda: alone.plan(seen, robot, []), "has ended")
+
+
+@pytest.mark.slow
+def test_the_test_of_the_package_passes_on_rclpy():
+    """With stand-ins for tf2_ros and nav2_msgs only: parameters, states, topics and the helper process are real."""
+    command = [ros.python_with_rclpy(), str(ROOT / "tests/support/ros_package_test.py")]
+    planner = {"DC2G_PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
+    environment = os.environ | ros.only_here(ros.free_domain()) | planner
+    subprocess.run(command, env=environment, timeout=100, check=True)
 
 
 def test_the_node_runs_in_the_python_of_ros():

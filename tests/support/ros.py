@@ -1,10 +1,15 @@
 """Messages of ROS 2 by rosbags, and as much of rclpy as the node uses. What is published is written and read as CDR."""
 
+import os
+import random
+import socket
+import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
@@ -170,6 +175,33 @@ class NavigateToPose:
 
     class Goal:
         """Where to go."""
+
+
+def python_with_rclpy() -> str:
+    """A Python that has the real rclpy: that of DC2G_ROS_PYTHON, or this one. Skips the test if there is none."""
+    python = os.environ.get("DC2G_ROS_PYTHON", sys.executable)
+    command = [python, "-c", "import rclpy, nav_msgs, std_srvs, visualization_msgs"]
+    if subprocess.run(command, capture_output=True).returncode:
+        packages = "ros-rclpy ros-nav-msgs ros-std-srvs ros-visualization-msgs ros-rmw-fastrtps-cpp"
+        pytest.skip(f"rclpy is not installed; DC2G_ROS_PYTHON may be a Python with {packages} from PyPI")
+    return python
+
+
+def free_domain() -> int:
+    """A domain whose first port nobody has."""
+    while True:
+        domain = random.SystemRandom().randrange(1, 200)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", 7410 + 250 * domain))
+            except OSError:
+                continue
+        return domain
+
+
+def only_here(domain: int) -> dict[str, str]:
+    """The environment of ROS for a domain on this machine."""
+    return {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def install(patch) -> None:

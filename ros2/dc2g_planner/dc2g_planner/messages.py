@@ -1,12 +1,25 @@
 """ROS messages as inputs of the planner, and its decisions as messages. Nothing here needs ROS or `dc2g_jax`."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from .planner_process import Decision, Map, MapPose, Refused
+
+#: The outputs in the order of publication, and their types: the subgoal last, when all else is known.
+OUTPUTS = {
+    "frontiers": "PoseArray",
+    "path": "Path",
+    "markers": "MarkerArray",
+    "why": "String",
+    "mode": "String",
+    "subgoal": "PoseStamped",
+}
+
+#: Targets that differ by less than this, in meters and radians, are the same.
+_SAME = 0.01
 
 #: Colors of the best and the worst candidate and of the subgoal; red, green, blue.
 _BEST, _WORST, _SUBGOAL = (0.1, 0.8, 0.2), (0.9, 0.4, 0.1), (0.1, 0.3, 1.0)
@@ -71,6 +84,11 @@ def place_to_drive_to(decision: Decision) -> MapPose | None:
     return steps[-1] if len(steps) > 1 else None
 
 
+def is_same(one: MapPose, other: MapPose) -> bool:
+    """Whether two poses are the same target."""
+    return max(abs(a - b) for a, b in zip(one, other, strict=True)) < _SAME
+
+
 class Outgoing:
     """Messages for a decision.
 
@@ -85,6 +103,12 @@ class Outgoing:
         self._types = types
         self._header = types.Header(stamp=stamp, frame_id=frame)
 
+    def all(self, decision: Decision) -> Iterator[tuple[str, Any]]:
+        """The names of `OUTPUTS` with their messages; no subgoal if the planner gave up."""
+        for name in OUTPUTS:
+            if name != "subgoal" or decision.subgoal is not None:
+                yield name, getattr(self, name)(decision)
+
     def pose(self, pose: MapPose) -> Any:
         """A `geometry_msgs/Pose`."""
         turn = self._types.Quaternion(x=0.0, y=0.0, z=math.sin(pose.yaw / 2), w=math.cos(pose.yaw / 2))
@@ -93,6 +117,11 @@ class Outgoing:
     def stamped(self, pose: MapPose) -> Any:
         """A `geometry_msgs/PoseStamped`."""
         return self._types.PoseStamped(header=self._header, pose=self.pose(pose))
+
+    def subgoal(self, decision: Decision) -> Any:
+        """A `geometry_msgs/PoseStamped` of the subgoal, which there must be."""
+        assert decision.subgoal is not None
+        return self.stamped(decision.subgoal)
 
     def frontiers(self, decision: Decision) -> Any:
         """A `geometry_msgs/PoseArray` of the candidates, the subgoal first, then by score."""

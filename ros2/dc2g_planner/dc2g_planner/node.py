@@ -3,7 +3,6 @@
 import functools
 import signal
 import sys
-import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,7 +25,8 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_ros import Buffer, TransformException, TransformListener
 from visualization_msgs.msg import Marker, MarkerArray
 
-from .messages import Outgoing, doors_of, labels_of, map_of, place_to_drive_to, pose_of
+from .decider import PARAMETERS, Decider, planner_options
+from .messages import OUTPUTS, Outgoing, is_same, place_to_drive_to, pose_of
 from .planner_process import Decision, MapPose, PlannerProcess, Refused
 
 _TYPES = SimpleNamespace(
@@ -37,28 +37,14 @@ _TYPES = SimpleNamespace(
 #: The last message is kept for subscribers that come later.
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-#: Default of each parameter, and what it is; all are read once, at the start.
-_PARAMETERS: dict[str, tuple[Any, str]] = {
-    "planner": ("", "frontier, dc2g or dc2g_uncertain; empty: dc2g if there are labels, else frontier"),
+#: Parameters that only the node has.
+_OWN = {
     "python": ("", "path of a Python that has dc2g_jax; empty: that of the node"),
     "autostart": (True, "whether the node configures and activates itself, without a lifecycle manager"),
-    "network": ("", "folder of a trained network; empty: the shipped one"),
-    "cell_size": (0.25, "side of the planner's cells, meters"),
-    "smallest_cell": (0.0, "side of the smallest cells after halving, meters; 0: a quarter of cell_size"),
-    "sensing_range": (3.0, "how far the robot sees, meters"),
-    "field_of_view": (90.0, "width of the robot's field of view, degrees; 360: all around"),
-    "labels": ([""], "class of each cell value, for semantic maps, such as 1:road"),
-    "largest": ([100, 100], "rows and columns of the largest map, cells"),
-    "base_frame": ("base_link", "frame of the robot"),
-    "period": (1.0, "minimum time between decisions, seconds"),
-    "drive": (False, "whether to send the robot to the subgoals through Nav2"),
 }
 
 #: Seconds to wait for Nav2 to cancel the goal when the node ends.
 _SECONDS_TO_CANCEL = 1.0
-
-#: Targets that differ by less than this, in meters and radians, are the same.
-_SAME = 0.01
 
 
 class PlannerNode(LifecycleNode):
@@ -68,61 +54,34 @@ class PlannerNode(LifecycleNode):
         super().__init__("dc2g_planner")
         self.given = given = {
             name: self.declare_parameter(name, default, ParameterDescriptor(description=words, read_only=True)).value
-            for name, (default, words) in _PARAMETERS.items()
+            for name, (default, words) in (_OWN | PARAMETERS).items()
         }
         self._planner: PlannerProcess | None = None
         self._base_frame = given["base_frame"]
-        self._map: OccupancyGrid | None = None
-        self._doors = PoseArray()
-        self._is_news = False
+        self._decider = Decider()
         self._goal: MapPose | None = None
         self._aborted: list[MapPose] = []
-        self._to_set_aside: list[MapPose] = []
         self._has_arrived = False
         self._is_active = self._is_paused = False
         self._start: tuple[str, MapPose] | None = None
         self._handle: Any = None
-        # What is above is changed by several threads; while the planner decides, none holds it.
-        self._changing = threading.RLock()
+        self._changing = self._decider.changing  # what is above is changed by several threads
         self._tf = Buffer()
         self._listener = TransformListener(self._tf, self)
         self._nav2 = ActionClient(self, NavigateToPose, "navigate_to_pose") if given["drive"] else None
         self._out = {
-            name: self.create_publisher(kind, f"~/{name}", _LATCHED)
-            for name, kind in (
-                ("frontiers", PoseArray), ("subgoal", PoseStamped), ("path", Path), ("markers", MarkerArray),
-                ("why", String), ("mode", String),
-            )
-        }  # fmt: skip
-        self.create_subscription(OccupancyGrid, "map", self._on_map, _LATCHED)
-        self.create_subscription(PoseArray, "doors", self._on_doors, 1)
+            name: self.create_publisher(getattr(_TYPES, kind), f"~/{name}", _LATCHED) for name, kind in OUTPUTS.items()
+        }
+        self.create_subscription(OccupancyGrid, "map", self._decider.see_map, _LATCHED)
+        self.create_subscription(PoseArray, "doors", self._decider.see_doors, 1)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/return_to_start", self._on_return)
         self.create_timer(given["period"], self._decide, callback_group=MutuallyExclusiveCallbackGroup())
 
-    def _on_map(self, message: OccupancyGrid) -> None:
-        with self._changing:
-            self._map, self._is_news = message, True
-
-    def _on_doors(self, message: PoseArray) -> None:
-        with self._changing:
-            self._doors, self._is_news = message, True
-
     def on_configure(self, state: Any) -> TransitionCallbackReturn:
         """Start the planner's process, which compiles its programs or loads them."""
-        given = self.given
         try:
-            self._planner = PlannerProcess(
-                given["python"],
-                planner=given["planner"] or None,
-                cell_size=given["cell_size"],
-                smallest_cell=given["smallest_cell"] or None,
-                sensing_range=given["sensing_range"],
-                field_of_view=given["field_of_view"],
-                labels=labels_of(given["labels"]),
-                network=given["network"] or None,
-                largest=tuple(given["largest"]),
-            )
+            self._planner = PlannerProcess(self.given["python"], **planner_options(self.given))
         except Refused as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -130,7 +89,7 @@ class PlannerNode(LifecycleNode):
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Decide on the latest map, and on each new one."""
-        self._is_active = self._is_news = True
+        self._is_active = self._decider.is_news = True
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
@@ -163,7 +122,7 @@ class PlannerNode(LifecycleNode):
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         """Stop the robot and decide nothing, or go on with the latest map."""
-        self._is_paused, self._is_news = request.data, True
+        self._is_paused, self._decider.is_news = request.data, True
         if request.data:
             self.stop()
         response.success, response.message = True, "paused" if request.data else "goes on"
@@ -192,35 +151,32 @@ class PlannerNode(LifecycleNode):
 
     def _decide(self) -> None:
         """If anything is new, decide on the latest map and publish the decision."""
-        with self._changing:
-            latest, found, planner = self._map, self._doors, self._planner
-            if latest is None or planner is None or self._rests or not self._is_news:
-                return
-            self._is_news = False
-            aside, self._to_set_aside = self._to_set_aside, []
-        frame = latest.header.frame_id
+        planner = self._planner
+        if planner is None or self._rests:
+            return
         try:
-            for place in aside:
-                planner.set_aside(place)
-            pose = pose_of(self._tf.lookup_transform(frame, self._base_frame, Time()).transform)
-            doors = doors_of(found, frame) if found.poses else []
-            decision = planner.plan(map_of(latest), pose, doors)
-        except (Refused, TransformException) as error:
+            decided = self._decider.decide(planner, self._pose_in)
+        except Refused as error:
             self.get_logger().warning(f"no decision: {error}")
-            self._is_news = True
             return
         with self._changing:
-            if not self._rests:  # meanwhile
-                self._start = self._start or (frame, pose)
-                self._tell(frame, decision)
+            if decided is not None and not self._rests:  # meanwhile
+                frame = decided.header.frame_id
+                self._start = self._start or (frame, decided.pose)
+                self._tell(frame, decided.decision)
+
+    def _pose_in(self, frame: str) -> MapPose:
+        """The robot's pose."""
+        try:
+            return pose_of(self._tf.lookup_transform(frame, self._base_frame, Time()).transform)
+        except TransformException as error:
+            raise Refused(str(error)) from None
 
     def _tell(self, frame: str, decision: Decision) -> None:
         """Publish a decision and follow it."""
         out = Outgoing(_TYPES, frame, self.get_clock().now().to_msg())
-        for name in ("frontiers", "path", "markers", "why", "mode"):
-            self._out[name].publish(getattr(out, name)(decision))
-        if decision.subgoal is not None:
-            self._out["subgoal"].publish(out.stamped(decision.subgoal))
+        for name, message in out.all(decision):
+            self._out[name].publish(message)
         self._drive(out, decision)
 
     def _drive(self, out: Outgoing, decision: Decision) -> None:
@@ -228,13 +184,13 @@ class PlannerNode(LifecycleNode):
         place = place_to_drive_to(decision)
         if self._nav2 is None or place is None:
             return
-        if self._goal is not None and _is_same(place, self._goal):
+        if self._goal is not None and is_same(place, self._goal):
             if self._has_arrived:
                 self._drop(place, decision, "Nav2 has arrived, by its tolerance, but the planner still goes to")
             return
         if not self._nav2.server_is_ready():
             self.get_logger().warning("Nav2's action navigate_to_pose is not available yet")
-            self._is_news = True
+            self._decider.is_news = True
             return
         self._send(out.stamped(place), place, decision)
 
@@ -259,7 +215,7 @@ class PlannerNode(LifecycleNode):
             handle.get_result_async().add_done_callback(functools.partial(self._on_result, place, decision))
         elif place == self._goal:
             self.get_logger().warning("Nav2 rejected the subgoal")
-            self._goal, self._is_news = None, True
+            self._goal, self._decider.is_news = None, True
 
     def _on_result(self, place: MapPose, decision: Decision | None, future: Any) -> None:
         with self._changing:
@@ -270,11 +226,11 @@ class PlannerNode(LifecycleNode):
         """Decide again at the subgoal. Short of it, wait for the next map: Nav2 also aborts for someone else's goal."""
         self._handle = None
         if status == GoalStatus.STATUS_SUCCEEDED:
-            self._has_arrived = self._is_news = True
+            self._has_arrived = self._decider.is_news = True
             return
         self._goal = None
         is_aborted = status == GoalStatus.STATUS_ABORTED and decision is not None
-        if decision is not None and is_aborted and any(_is_same(place, other) for other in self._aborted):
+        if decision is not None and is_aborted and any(is_same(place, other) for other in self._aborted):
             self._drop(place, decision, "Nav2 cannot reach")
             return
         if is_aborted:
@@ -287,13 +243,8 @@ class PlannerNode(LifecycleNode):
         """Set aside what would be seen from a subgoal. The way to a door is tried again with the next map."""
         self._goal = None
         if decision.mode == "explore":
-            self._to_set_aside.append(place)
-            self._is_news = True
+            self._decider.set_aside(place)
         self.get_logger().warning(f"{why} ({place.x:.2f}, {place.y:.2f}) m")
-
-
-def _is_same(one: MapPose, other: MapPose) -> bool:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True)) < _SAME
 
 
 def main() -> None:

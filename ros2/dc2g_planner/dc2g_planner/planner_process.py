@@ -1,4 +1,4 @@
-"""The planner in a process of its own: it may need another Python than ROS has, and delays nothing in the node.
+"""The planner, in this process or in one of its own, with another Python than ROS has, that delays nothing in the node.
 
 The node, with the Python of ROS, starts this file with a Python that has `dc2g_jax`. What they send each other is
 pickled, and consists of numbers, text, bytes and tuples only.
@@ -69,7 +69,61 @@ class Planner:
         self._planner.set_aside(self._pose(*pose))
 
 
-class PlannerProcess:
+class AnyPlanner:
+    """A `Planner`, wherever it runs."""
+
+    def plan(self, seen: Map, pose: MapPose, doors: list[tuple[float, float]]) -> Decision:
+        """Decide the next subgoal.
+
+        Raises:
+          Refused: the map, the pose or a door is invalid, or the planner's process has ended.
+        """
+        mode, subgoal, path, candidates, why, size = self._ask("plan", (tuple(seen), tuple(pose), doors))
+        path, candidates = ([MapPose(*pose) for pose in each] for each in (path, candidates))
+        return Decision(mode, subgoal and MapPose(*subgoal), path, candidates, why, size)
+
+    def set_aside(self, pose: MapPose) -> None:
+        """Set aside what would be seen from the last subgoal.
+
+        Raises:
+          Refused: the planner's process has ended.
+        """
+        self._ask("set_aside", (tuple(pose),))
+
+    def _ask(self, name: str, arguments: Any) -> Any:
+        """What a method of the planner returns."""
+        raise NotImplementedError
+
+
+class PlannerHere(AnyPlanner):
+    """Runs a `Planner` in this process, whose Python has `dc2g_jax`.
+
+    Args:
+      options: those of `dc2g_jax.MetricPlanner`.
+
+    Raises:
+      Refused: `dc2g_jax` is not installed, or an option is invalid.
+    """
+
+    def __init__(self, **options: Any):
+        try:
+            from dc2g_jax import InputError
+        except ImportError:
+            raise Refused("dc2g_jax is not installed in this Python; install it with pip") from None
+        self._refusal = InputError
+        try:
+            self._planner = Planner(**options)
+        except InputError as error:
+            raise Refused(str(error)) from None
+
+    def _ask(self, name: str, arguments: Any) -> Any:
+        try:
+            return getattr(self._planner, name)(*arguments)
+        except self._refusal as error:
+            raise Refused(str(error)) from None
+
+
+class PlannerProcess(AnyPlanner):
     """Runs a `Planner` in a process of its own.
 
     Args:
@@ -93,24 +147,6 @@ class PlannerProcess:
         except Refused:
             self.close()
             raise
-
-    def plan(self, seen: Map, pose: MapPose, doors: list[tuple[float, float]]) -> Decision:
-        """Decide the next subgoal.
-
-        Raises:
-          Refused: the map, the pose or a door is invalid, or the process has ended.
-        """
-        mode, subgoal, path, candidates, why, size = self._ask("plan", (tuple(seen), tuple(pose), doors))
-        path, candidates = ([MapPose(*pose) for pose in each] for each in (path, candidates))
-        return Decision(mode, subgoal and MapPose(*subgoal), path, candidates, why, size)
-
-    def set_aside(self, pose: MapPose) -> None:
-        """Set aside what would be seen from the last subgoal.
-
-        Raises:
-          Refused: the process has ended.
-        """
-        self._ask("set_aside", (tuple(pose),))
 
     def close(self) -> None:
         """End the process."""
