@@ -7,6 +7,7 @@ from dc2g_jax._src.environments.functional import (
     State as State,
     egocentric as egocentric,
     front_door as front_door,
+    image as image,
     observe as observe,
     one_hot_view as one_hot_view,
 )

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from jax.experimental import checkify
 
-from dc2g_jax._src.environments.functional import FrontDoor, Observation, egocentric, front_door, observe, one_hot_view
+from dc2g_jax._src.environments.functional import (
+    FrontDoor,
+    Observation,
+    egocentric,
+    front_door,
+    image,
+    observe,
+    one_hot_view,
+)
 from dc2g_jax._src.environments.wrappers import FlattenObservation
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
-from dc2g_jax._src.grid.terrain import OUTSIDE
+from dc2g_jax._src.grid.terrain import FIGURE_RGB, OUTSIDE
 from dc2g_jax._src.planning.planners import Oracle
 from dc2g_jax._src.readers.houses import stack_worlds
 from dc2g_jax._src.readers.starts import sample_starts
@@ -206,6 +214,33 @@ def test_a_plane_of_the_one_hot_view_is_one_where_the_view_has_its_class():
     assert (planes.shape, planes.dtype) == ((OUTSIDE + 1, 7, 7), jnp.float32)
     assert np.all(np.asarray(planes).sum(axis=0) == 1)
     np.testing.assert_array_equal(planes.argmax(axis=0), egocentric(observation, 3))
+
+
+def test_images_of_a_batch():
+    """A cell has its class's color, and the robot, which points ahead, is black."""
+    poses = [pose for terrain in TERRAINS for pose in sorted(start_poses(terrain))[:4]]
+    seen = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(begin(n // 4, *pose)[0] for n, pose in enumerate(poses)))
+    images = np.asarray(jax.jit(jax.vmap(image))(seen))
+    assert (images.shape, images.dtype) == ((8, 8 * STREET.shape[0], 8 * STREET.shape[1], 3), np.uint8)
+    for (x, y, heading), terrain, picture in zip(poses, np.asarray(seen.terrain), images, strict=True):
+        middles = picture[4::8, 4::8]
+        elsewhere = np.ones(terrain.shape, bool)
+        elsewhere[y, x] = False
+        np.testing.assert_array_equal(middles[elsewhere], FIGURE_RGB[terrain[elsewhere]])
+        own = (picture[8 * y : 8 * y + 8, 8 * x : 8 * x + 8] == 0).all(axis=-1)
+        rows, columns = np.nonzero(own)
+        dx, dy = oracle.STEPS[heading]
+        assert (columns.mean() - 3.5) * dx + (rows.mean() - 3.5) * dy < 0  # a triangle is wider behind
+        assert 20 < own.sum() < 40
+
+
+def test_without_autoreset_an_episode_stays_at_its_end():
+    environment, _ = front_door(HOUSES[:1], step_limit=1, autoreset=False)
+    seen, state = environment.reset(jax.random.key(0))
+    seen, state, _, _, truncated, info = environment.step(jax.random.key(1), state, 1)
+    assert truncated
+    jax.tree.map(np.testing.assert_array_equal, seen, info["final_observation"])
+    assert state.belief.steps == 1
 
 
 def test_the_interface_of_gymnax():

@@ -26,9 +26,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 from dc2g_jax._src.environments import spaces
 from dc2g_jax._src.grid import gridworld, sensing
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD, HEADINGS, Pose
 from dc2g_jax._src.grid.sensing import PAPER_DEGREES, Kernel, check_degrees, check_sensing_range
-from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_RGB, OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, stack_worlds
 from dc2g_jax._src.readers.starts import start_cells, why_no_episode
@@ -104,10 +104,12 @@ class FrontDoor:
     Attributes:
       sensing: the robot's field of view.
       default_params: the parameters that `reset` and `step` use if none are given.
+      autoreset: whether `step` begins a new episode where one ends.
     """
 
     sensing: Kernel
     default_params: Params | None = dataclasses.field(default=None, repr=False)
+    autoreset: bool = dataclasses.field(default=True, repr=False)
     name: ClassVar[str] = "FrontDoor-v0"
     num_actions: ClassVar[int] = len(ACTION_LETTERS)
 
@@ -169,7 +171,7 @@ class FrontDoor:
     def step(
         self, key: PRNGKeyArray, state: State, action: int | Int[Array, ""], params: Params | None = None
     ) -> tuple[Observation, State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """Take one action, and begin a new episode if it ends the current one.
+        """Take one action, and with `autoreset` begin a new episode if it ends the current one.
 
         Args:
           key: random key of the new episode.
@@ -184,8 +186,10 @@ class FrontDoor:
         """
         params = self._or_default(params)
         last, reward, terminated, truncated = self.advance(state, action, params)
-        done = terminated | truncated
-        state = jax.tree.map(lambda new, old: jnp.where(done, new, old), self.reset(key, params)[1], last)
+        state = last
+        if self.autoreset:
+            done = terminated | truncated
+            state = jax.tree.map(lambda new, old: jnp.where(done, new, old), self.reset(key, params)[1], last)
         info = {
             "final_observation": observe(last),
             "terminated": terminated,
@@ -208,6 +212,7 @@ def front_door(
     sensing_range: int = SENSING_RANGE,
     field_of_view: float = PAPER_DEGREES,
     step_limit: int = STEP_LIMIT,
+    autoreset: bool = True,
 ) -> tuple[FrontDoor, Params]:
     """The environment, and its parameters for a set of houses.
 
@@ -216,6 +221,7 @@ def front_door(
       sensing_range: range of the field of view, in cells.
       field_of_view: width of the field of view in degrees, 1 to 360.
       step_limit: actions after which an episode is truncated.
+      autoreset: whether `step` begins a new episode where one ends.
 
     Raises:
       InputError: there are no houses, no episode can be run in one of them (leave out those for which `why_no_episode`
@@ -238,7 +244,7 @@ def front_door(
         start_count=jnp.asarray(counts, jnp.int32),
         step_limit=jnp.int32(step_limit),
     )
-    return FrontDoor(sensing.field_of_view(int(sensing_range), field_of_view), params), params
+    return FrontDoor(sensing.field_of_view(int(sensing_range), field_of_view), params, autoreset), params
 
 
 def observe(state: State) -> Observation:
@@ -270,6 +276,25 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
 def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class side side"]:
     """The egocentric view (see `egocentric`) as one plane of ones and zeros per class, the last for `OUTSIDE`."""
     return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
+
+
+def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "pixels*h pixels*w 3"]:
+    """A picture of an observation: classes in the colors of the figures, and the robot as a black triangle.
+
+    Pure, so `jax.vmap` draws a batch.
+
+    Args:
+      observation: observation of the robot.
+      pixels: side length of a cell.
+    """
+    cells = jnp.asarray(FIGURE_RGB)[observation.terrain]
+    picture = jnp.repeat(jnp.repeat(cells, pixels, axis=0), pixels, axis=1)
+    pose, forward = observation.pose, jnp.asarray(FORWARD)[observation.pose.heading]
+    y, x = ((jnp.arange(side) + 0.5) / pixels - 0.5 for side in picture.shape[:2])
+    x, y = x - pose.x, y[:, None] - pose.y
+    ahead, aside = forward[0] * x + forward[1] * y, forward[0] * y - forward[1] * x
+    robot = (jnp.abs(ahead) < 0.5) & (2 * jnp.abs(aside) < 0.5 - ahead)
+    return jnp.where(robot[..., None], jnp.uint8(0), picture)
 
 
 def _world(params: Params, house: Int[Array, "*batch"]) -> World:

@@ -18,6 +18,7 @@ def make_env(
     sensing_range: int = SENSING_RANGE,
     field_of_view: float = PAPER_DEGREES,
     step_limit: int = STEP_LIMIT,
+    autoreset: bool = True,
     cells: int = 50,
 ) -> tuple[FrontDoor, Params]:
     """Make a functional environment and its parameters, as `gymnax.make` does.
@@ -36,6 +37,7 @@ def make_env(
       sensing_range: range of the field of view, in cells.
       field_of_view: width of the field of view in degrees, 1 to 360.
       step_limit: actions after which an episode is truncated.
+      autoreset: whether `step` begins a new episode where one ends.
       cells: side length of the square maps, if `dataset` is not open yet.
 
     Raises:
@@ -44,4 +46,6 @@ def make_env(
     check_name("environment", name, [FrontDoor.name])
     dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset, cells=cells)
     houses = usable_houses(dataset, split, instead="raise cells or use another split")
-    return front_door(houses, sensing_range=sensing_range, field_of_view=field_of_view, step_limit=step_limit)
+    return front_door(
+        houses, sensing_range=sensing_range, field_of_view=field_of_view, step_limit=step_limit, autoreset=autoreset
+    )
