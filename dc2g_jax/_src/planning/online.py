@@ -111,8 +111,8 @@ class OnlinePlanner:
     the last decision keeps its subgoal. So exploration ends if the robot observes everything in its field of view at
     every pose that it reaches. Mark cells that its sensor cannot classify as `nothing`.
 
-    Creating the planner compiles a program for its largest grid and, beyond 256 cells a side, also for smaller ones.
-    Each takes five to ten seconds of CPU time, and more for longer sensing ranges. The programs are kept on disk (see
+    Creating the planner compiles a program for its largest grid and, beyond 512 cells a side, also for smaller ones.
+    Each takes three to ten seconds of CPU time, and more for longer sensing ranges. The programs are kept on disk (see
     `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the start, and
     decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your own get grids
     of exactly the map's size; each new size is compiled.
