@@ -20,14 +20,19 @@ from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel
 from dc2g_jax._src.grid.terrain import UNKNOWN
 from dc2g_jax._src.planning.decisions import explain
-from dc2g_jax._src.planning.metric_map import DrawnMap, MetricMap, MetricPose, class_of_values, draw, in_map_frame
+from dc2g_jax._src.planning.metric_map import (
+    DrawnMap,
+    MetricMap,
+    MetricPose,
+    class_of_values,
+    draw,
+    ground_beside,
+    in_map_frame,
+)
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Planner
 from dc2g_jax._src.runtime.errors import InputError, check_number
 from dc2g_jax._src.runtime.programs import jit
-
-#: A robot within this distance of its subgoal, in meters, or within a cell, has reached it. Nav2 stops within 0.25 m.
-_ARRIVAL = 0.3
 
 
 class MetricCandidate(NamedTuple):
@@ -149,10 +154,10 @@ class MetricPlanner:
         reach = self._reach(cell_size)
         self._online: dict[int, OnlinePlanner] = {reach: self._make(sensing_range=reach, largest=largest)}
         self._fixed_reach = reach if hasattr(planner, "rules") else None
-        self._aside: dict[int, set[tuple[int, int]]] = collections.defaultdict(set)
+        self._aside: dict[int, set[tuple[int, int, int]]] = collections.defaultdict(set)
         self._drawn: DrawnMap | None = None
         self._target: MetricPose | None = None
-        self._reached: MetricPose | None = None
+        self._reached: tuple[MetricPose, int] | None = None
 
     def plan(self, grid: MetricMap, pose: npt.ArrayLike, *, doors: Iterable[Sequence[float]] = ()) -> MetricDecision:
         """Decide the next subgoal (Algorithm 2).
@@ -169,7 +174,7 @@ class MetricPlanner:
         """
         here = MetricPose(*in_map_frame("pose", pose, 3))
         found = tuple(in_map_frame("door", door, 2) for door in doors)
-        self._look_around(here, grid)
+        self._look_around(here, grid, found)
         factor = max(1, math.ceil(self._cell_size / grid.resolution - 1e-4))
         decision = self._decided(grid, factor, here, found)
         smallest = max(1, math.ceil(self._smallest_cell / grid.resolution - 1e-4))
@@ -185,20 +190,27 @@ class MetricPlanner:
         Args:
           pose: the subgoal of the last decision.
         """
-        if self._drawn is None:
-            return
-        terrain, left, top, cells, factor = self._drawn
+        if self._drawn is not None:
+            self._set_aside(pose, self._drawn)
+
+    def _set_aside(self, pose: MetricPose, drawn: DrawnMap) -> None:
+        """Set aside the unknown cells of a map in view from a pose."""
+        terrain, left, top, cells, factor, _ = drawn
         reach = self._reach(cells.size)
         sensing = self._online[reach].rules.sensing
         x, y, heading = cells.pose_in(pose)
         if not (0 <= x - left < terrain.shape[1] and 0 <= y - top < terrain.shape[0]):
             return
-        around = np.pad(terrain, reach)[y - top :, x - left :][: 2 * reach + 1, : 2 * reach + 1]
+        terrain = np.pad(terrain, reach)
+        window = np.s_[y - top : y - top + 2 * reach + 1, x - left : x - left + 2 * reach + 1]
+        around, beside = terrain[window], ground_beside(terrain)[window]
         seen = jax.device_get(_in_view(around, np.int32(heading), sensing=sensing))
         rows, columns = np.nonzero(seen & (around == UNKNOWN))
-        self._aside[factor] |= set(zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), strict=True))
+        ground = beside[rows, columns].tolist()
+        found = zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), ground, strict=True)
+        self._aside[factor] |= set(found)
 
-    def _look_around(self, here: MetricPose, grid: MetricMap) -> None:
+    def _look_around(self, here: MetricPose, grid: MetricMap, doors: Iterable[Sequence[float]]) -> None:
         """Set aside cells that stayed unknown when looked at. Forget them all if the map's cells have changed."""
         if self._drawn is None:
             return
@@ -211,12 +223,13 @@ class MetricPlanner:
             self._drawn = self._target = self._reached = None
             return
         if self._reached is not None:
-            self.set_aside(self._reached)
+            subgoal, pixels = self._reached
+            self._set_aside(subgoal, self._draw(grid, pixels, here, doors))
         self._reached = None
         if self._target is not None:
-            near = math.dist(here[:2], self._target[:2]) <= max(_ARRIVAL, cells.size)
+            near = math.dist(here[:2], self._target[:2]) <= max(self._cell_size / 2, cells.size)
             if near and cells.pose_in(here).heading == cells.pose_in(self._target).heading:
-                self._reached = self._target
+                self._reached = self._target, factor
 
     def _reach(self, size: float) -> int:
         """Sensing range in cells of this side, in meters."""
@@ -238,20 +251,23 @@ class MetricPlanner:
             online = self._online[reach] = self._make(sensing_range=reach, largest=largest)
         return online
 
+    def _draw(self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]) -> DrawnMap:
+        """The map in cells of `factor` pixels along a side."""
+        aside, reach = self._aside[factor], self._reach(factor * grid.resolution)
+        return draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=reach)
+
     def _decided(
         self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]
     ) -> MetricDecision:
         """The decision in cells of `factor` pixels along a side."""
-        aside, reach = self._aside[factor], self._reach(factor * grid.resolution)
-        drawn = draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=reach)
-        terrain, left, top, cells, _ = drawn
-        online = self._online_for(reach, terrain.shape)
-        self._drawn = drawn
+        self._drawn = self._draw(grid, factor, here, doors)
+        terrain, left, top, cells, _, hidden = self._drawn
+        online = self._online_for(self._reach(cells.size), terrain.shape)
         decision = online.plan(terrain, cells.pose_in(here), origin=(left, top))
         path = [here, *(cells.center(*pose) for pose in decision.path[1:])] if decision.path else []
         why = explain(decision.mode, decision.path, decision.candidates, cells.words)
-        if decision.mode == MODE_NAMES[GAVE_UP] and aside:
-            why += f"; {len(aside)} cells are still unknown after the robot looked at them"
+        if decision.mode == MODE_NAMES[GAVE_UP] and hidden:
+            why += f"; {hidden} cells are still unknown after the robot looked at them"
         return MetricDecision(
             mode=decision.mode,
             subgoal=cells.center(*decision.subgoal) if decision.subgoal else None,

@@ -111,6 +111,7 @@ class DrawnMap(NamedTuple):
       top: row of its first cell.
       cells: where the cells lie.
       factor: pixels of the map along a side of a cell.
+      aside: number of unknown cells that are set aside.
     """
 
     terrain: UInt8[np.ndarray, "h w"]
@@ -118,6 +119,7 @@ class DrawnMap(NamedTuple):
     top: int
     cells: Cells
     factor: int
+    aside: int
 
 
 def class_of_values(labels: Mapping[int, str] | None) -> UInt8[np.ndarray, "value"]:
@@ -149,7 +151,7 @@ def draw(
     robot: MetricPose,
     *,
     doors: Iterable[Sequence[float]],
-    aside: Iterable[tuple[int, int]],
+    aside: Iterable[tuple[int, int, int]],
     margin: int,
 ) -> DrawnMap:
     """Resample a map to coarser cells, see `grid.sampling.sample_conservatively`.
@@ -162,7 +164,8 @@ def draw(
       classes: class index of each value, see `class_of_values`.
       robot: pose of the robot. Its cell is traversable whatever the map says.
       doors: x and y of doors in the map frame.
-      aside: columns and rows that become `nothing` if they are unknown.
+      aside: columns and rows that become `nothing` if they are unknown and have the same ground beside them, see
+        `ground_beside`.
       margin: how far beyond the map's edges doors and cells set aside may lie, in cells.
 
     Raises:
@@ -186,15 +189,24 @@ def draw(
     pixels = np.pad(_terrain(grid, classes)[::-1], (above, beside))
     terrain = np.pad(sample_conservatively(pixels, beyond - left, below - top), margin)
     left, top = left - margin, top - margin
-    rows, columns = _indices(aside, terrain, left, top)
-    terrain[rows, columns] = np.where(terrain[rows, columns] == UNKNOWN, NOTHING, terrain[rows, columns])
     if not TRAVERSABLE[terrain[here.y - top, here.x - left]]:
         terrain[here.y - top, here.x - left] = FREE
-    at_doors = (cells.pose_in(MetricPose(x, y, 0.0))[:2] for x, y in doors)
-    terrain[_indices(at_doors, terrain, left, top)] = FRONT_DOOR
+    at_doors = (cells.pose_in(MetricPose(x, y, 0.0)) for x, y in doors)
+    rows, columns, _ = _on_map(at_doors, terrain, left, top)
+    terrain[rows, columns] = FRONT_DOOR
+    rows, columns, beside = _on_map(aside, terrain, left, top)
+    is_aside = (terrain[rows, columns] == UNKNOWN) & (ground_beside(terrain)[rows, columns] == beside)
+    terrain[rows[is_aside], columns[is_aside]] = NOTHING
     rows, columns = (np.flatnonzero(np.any(terrain != UNKNOWN, axis=axis)) for axis in (1, 0))
     part = terrain[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return DrawnMap(part, int(left + columns[0]), int(top + rows[0]), cells, factor)
+    return DrawnMap(part, int(left + columns[0]), int(top + rows[0]), cells, factor, int(is_aside.sum()))
+
+
+def ground_beside(terrain: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """Which neighbors of each cell are traversable, a bit each."""
+    ground = np.pad(TRAVERSABLE[terrain], 1)
+    sides = ground[1:-1, 2:], ground[2:, 1:-1], ground[1:-1, :-2], ground[:-2, 1:-1]
+    return sum((side.astype(np.uint8) << bit for bit, side in enumerate(sides)), np.uint8(0))
 
 
 def _terrain(grid: MetricMap, classes: UInt8[np.ndarray, "value"]) -> UInt8[np.ndarray, "h w"]:
@@ -215,13 +227,13 @@ def _covering(first: int, count: int, factor: int) -> tuple[int, int, tuple[int,
     return start, end, (first - start * factor, end * factor - first - count)
 
 
-def _indices(
-    cells: Iterable[tuple[int, int]], terrain: np.ndarray, left: int, top: int
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Rows and columns of the cells that lie on a map whose first cell is at `left` and `top`."""
-    columns, rows = np.array([*cells], np.intp).reshape(-1, 2).T - np.array([[left], [top]])
+def _on_map(
+    cells: Iterable[tuple[int, ...]], terrain: np.ndarray, left: int, top: int
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Rows and columns of the cells that lie on a map whose first cell is at `left` and `top`, and what comes after."""
+    columns, rows, other = np.array([*cells], np.intp).reshape(-1, 3).T - np.array([[left], [top], [0]])
     inside = (rows >= 0) & (rows < terrain.shape[0]) & (columns >= 0) & (columns < terrain.shape[1])
-    return rows[inside], columns[inside]
+    return rows[inside], columns[inside], other[inside]
 
 
 def in_map_frame(name: str, values: npt.ArrayLike, count: int) -> tuple[float, ...]:

@@ -1,0 +1,221 @@
+"""What `MetricPlanner` promises, in plain loops over cells: what is left to explore on a map, and what a robot has seen.
+
+Cells are (column, row), counted from the origin of the map frame along the map's rows, with y upward.
+"""
+
+import collections
+import functools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+
+#: Quarter turns counterclockwise, as (dx, dy).
+TURNS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+Cell = tuple[int, int]
+
+#: A cell and the free cells beside it, as (dx, dy).
+Looked = tuple[Cell, frozenset[Cell]]
+
+
+class Ground:
+    """A map in cells of `factor` pixels along a side: each is occupied, unknown or free as its worst pixel is."""
+
+    def __init__(self, grid: Any, factor: int, pose: tuple[float, float, float], doors=()):
+        self.size, self.yaw, self.resolution = factor * grid.resolution, grid.origin.yaw, grid.resolution
+        along = [self._turned(*grid.origin[:2])[axis] / grid.resolution for axis in (0, 1)]
+        first = [math.floor(pixels + 0.01) for pixels in along]
+        self._offset = [(pixels - whole) * grid.resolution for pixels, whole in zip(along, first, strict=True)]
+        worst: dict[Cell, int] = {}
+        for pixel, value in (FREE, 1), (UNKNOWN, 2), (OCCUPIED, 3):
+            rows, columns = np.nonzero(grid.cells == pixel)
+            cells = {(int(x), int(y)) for x, y in zip((columns + first[0]) // factor, (rows + first[1]) // factor)}
+            worst |= dict.fromkeys(cells, value)
+        for edge in self._cut(grid.cells.shape, first, factor):
+            if worst[edge] == 1:
+                worst[edge] = 2
+        self.robot, self.heading = self.cell(*pose[:2]), round((pose[2] - self.yaw) / (math.pi / 2)) % 4
+        self.doors = {self.cell(*door) for door in doors}
+        self.free = {cell for cell, value in worst.items() if value == 1} | {self.robot} | self.doors
+        self.occupied = {cell for cell, value in worst.items() if value == 3} - self.free
+        self.reachable = self._flooded()
+
+    @staticmethod
+    def _cut(shape: tuple[int, ...], first: list[int], factor: int) -> set[Cell]:
+        """Cells of which a part is off the map."""
+        spans = [(start, start + count) for start, count in zip(first, shape[::-1], strict=True)]
+        (left, right), (bottom, top) = spans
+        columns, rows = range(left // factor, -(-right // factor)), range(bottom // factor, -(-top // factor))
+        part = {(x, y) for x in columns for y in (rows[0], rows[-1])} | {(x, y) for y in rows for x in (columns[0], columns[-1])}
+        whole = lambda at, span: at * factor >= span[0] and (at + 1) * factor <= span[1]  # noqa: E731
+        return {(x, y) for x, y in part if not (whole(x, spans[0]) and whole(y, spans[1]))}
+
+    def _turned(self, x: float, y: float) -> tuple[float, float]:
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return x * cos + y * sin, y * cos - x * sin
+
+    def cell(self, x: float, y: float) -> Cell:
+        """The cell that holds a point of the map frame."""
+        right, up = ((at - off) / self.size for at, off in zip(self._turned(x, y), self._offset, strict=True))
+        return math.floor(right), math.floor(up)
+
+    def pose(self, pose: tuple[float, float, float]) -> tuple[Cell, int]:
+        """Cell and nearest quarter turn."""
+        return self.cell(*pose[:2]), round((pose[2] - self.yaw) / (math.pi / 2)) % 4
+
+    def _flooded(self) -> set[Cell]:
+        found, queue = {self.robot}, [self.robot]
+        while queue:
+            x, y = queue.pop()
+            for dx, dy in TURNS:
+                if (there := (x + dx, y + dy)) in self.free and there not in found:
+                    found.add(there)
+                    queue.append(there)
+        return found
+
+    def is_unknown(self, cell: Cell) -> bool:
+        return cell not in self.free and cell not in self.occupied
+
+    def looked(self, cell: Cell) -> Looked:
+        return cell, frozenset((dx, dy) for dx, dy in TURNS if (cell[0] + dx, cell[1] + dy) in self.free)
+
+    def frontier(self) -> set[Cell]:
+        """Unknown cells beside reachable ones."""
+        beside = {(x + dx, y + dy) for x, y in self.reachable for dx, dy in TURNS}
+        return {cell for cell in beside if self.is_unknown(cell)}
+
+
+class View(NamedTuple):
+    """Unknown cells in view: those in plain sight, and with them those that may count as hidden by a corner."""
+
+    surely: set[Cell]
+    maybe: set[Cell]
+
+
+@functools.cache
+def _offsets(reach: int, degrees: float) -> list[tuple[Cell, list[Cell]]]:
+    """Offsets in view when facing +x, the nearest first; and the cells before each one on the line to the robot."""
+    near = range(-reach, reach + 1)
+    found = []
+    for dx, dy in sorted(((x, y) for x in near for y in near if (x, y) != (0, 0)), key=lambda at: max(map(abs, at))):
+        if math.hypot(dx, dy) > reach or (degrees < 360 and math.degrees(math.atan2(abs(dy), dx)) >= degrees / 2 - 1e-9):
+            continue
+        longest = max(abs(dx), abs(dy))
+        exact = [at * (longest - 1) / longest for at in (dx, dy)]
+        before = {(a, b) for a in {math.floor(exact[0] + 1e-9), math.ceil(exact[0] - 1e-9)}
+                  for b in {math.floor(exact[1] + 1e-9), math.ceil(exact[1] - 1e-9)}}
+        found.append(((dx, dy), sorted(before)))
+    return found
+
+
+def view(ground: Ground, pose: tuple[Cell, int], reach: int, degrees: float) -> View:
+    """The unknown cells in view from a pose; walls hide what is behind them."""
+    (x, y), (fx, fy) = pose[0], TURNS[pose[1]]
+    surely, maybe, result = {(0, 0)}, {(0, 0)}, View(set(), set())
+    opaque = ground.occupied
+    for offset, before in _offsets(reach, degrees):
+        through = [at == (0, 0) or (x + at[0] * fx - at[1] * fy, y + at[0] * fy + at[1] * fx) not in opaque for at in before]
+        cell = x + offset[0] * fx - offset[1] * fy, y + offset[0] * fy + offset[1] * fx
+        # (What is before a cell at the edge of the view may be out of view; then another cell beside the line counts.)
+        if all(at in surely and clear for at, clear in zip(before, through, strict=True)):
+            surely.add(offset)
+        if any(at in maybe and clear for at, clear in zip(before, through, strict=True)):
+            maybe.add(offset)
+            if ground.is_unknown(cell):
+                result.maybe.add(cell)
+                if offset in surely:
+                    result.surely.add(cell)
+    return result
+
+
+class Promises:
+    """Follows the calls of a `MetricPlanner` for occupancy maps, and checks its decisions."""
+
+    def __init__(self, cell_size: float, smallest_cell: float, sensing_range: float, degrees: float):
+        self._cell_size, self._smallest, self._range, self._degrees = cell_size, smallest_cell, sensing_range, degrees
+        #: Cells that were looked at in vain, by the pixels of a cell: those in plain sight, and all that may be.
+        self._surely: dict[float, set[Looked]] = collections.defaultdict(set)
+        self._maybe: dict[float, set[Looked]] = collections.defaultdict(set)
+        self._last: tuple[Ground, Any] | None = None
+        self._pending: tuple[Any, float] | None = None
+
+    def set_aside(self, pose, ground: Ground | None = None) -> None:
+        """What is in view from here does not count from now on."""
+        ground = ground or (self._last and self._last[0])
+        if ground is None:
+            return
+        reach = math.floor(self._range / ground.size + 1e-4)
+        seen = view(ground, ground.pose(pose), reach, self._degrees)
+        self._surely[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.surely}
+        self._maybe[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.maybe}
+
+    def check(self, grid, pose, doors, decision) -> None:
+        """Check a decision on a map."""
+        now = grid.origin.yaw, grid.resolution
+        if self._last is not None and not np.allclose(now, (self._last[0].yaw, self._last[0].resolution), 0, 1e-7):
+            self._surely.clear()
+            self._maybe.clear()
+            self._last = self._pending = None
+        if self._pending is not None:
+            subgoal, size = self._pending
+            self.set_aside(subgoal, Ground(grid, round(size / grid.resolution), pose, doors))
+        self._pending = None
+        factor = round(decision.cell_size / grid.resolution)
+        ground = Ground(grid, factor, pose, doors)
+        if self._last is not None:
+            before, last = self._last
+            if last.mode == "explore":
+                away = math.dist(pose[:2], last.subgoal[:2])
+                if away <= before.size and before.pose(pose)[1] == before.pose(last.subgoal)[1]:
+                    self._pending = last.subgoal, before.size
+        {"gave_up": self._check_stop, "explore": self._check_exploring, "to_goal": self._check_going}[decision.mode](
+            grid, pose, doors, decision, ground
+        )
+        self._last = ground, decision
+
+    def _check_path(self, pose, decision, ground: Ground) -> None:
+        assert decision.path[0] == tuple(pose), "the path starts elsewhere"
+        assert decision.path[-1] == decision.subgoal or len(decision.path) == 1
+        poses = [ground.pose(each) for each in decision.path]
+        for (before, turn), (after, then) in zip(poses[:-1], poses[1:], strict=True):
+            step = after[0] - before[0], after[1] - before[1]
+            assert (step == TURNS[turn] and turn == then) or (step == (0, 0) and (then - turn) % 4 in (1, 3)), "a jump"
+        assert all(cell in ground.free for cell, _ in poses), "the path leaves free ground"
+
+    def _check_going(self, grid, pose, doors, decision, ground) -> None:
+        self._check_path(pose, decision, ground)
+        assert ground.pose(decision.subgoal)[0] in ground.doors & ground.reachable
+
+    def _check_exploring(self, grid, pose, doors, decision, ground: Ground) -> None:
+        assert not ground.doors & ground.reachable, "explores, but a door is reachable"
+        self._check_path(pose, decision, ground)
+        size = round(ground.size, 6)
+        left = {cell for cell in ground.frontier() if ground.looked(cell) not in self._surely[size]}
+        reach = math.floor(self._range / ground.size + 1e-4)
+        assert left & view(ground, ground.pose(decision.subgoal), reach, self._degrees).maybe, "nothing to see there"
+
+    def _check_stop(self, grid, pose, doors, decision, ground) -> None:
+        smallest, factor = (
+            max(1, math.ceil(size / grid.resolution - 1e-4)) for size in (self._smallest, self._cell_size)
+        )
+        assert math.isclose(decision.cell_size, min(smallest, factor) * grid.resolution), "stopped at large cells"
+        while True:
+            ground = Ground(grid, factor, pose, doors)
+            assert not ground.doors & ground.reachable, "stopped, but a door is reachable"
+            size = round(ground.size, 6)
+            left = {cell for cell in ground.frontier() if ground.looked(cell) not in self._maybe[size]}
+            if all(self._is_ahead(ground, cell) for cell in left):
+                left = set()
+            assert not left, f"stopped with a reachable frontier of {len(left)} cells of {size} m"
+            if factor <= smallest:
+                return
+            factor = max(factor // 2, smallest)
+
+    @staticmethod
+    def _is_ahead(ground: Ground, cell: Cell) -> bool:
+        """Whether a cell touches no reachable ground but the robot's, and the robot faces it."""
+        at = [(dx, dy) for dx, dy in TURNS if (cell[0] - dx, cell[1] - dy) in ground.reachable]
+        return at == [TURNS[ground.heading]] and (cell[0] - at[0][0], cell[1] - at[0][1]) == ground.robot

@@ -1,0 +1,319 @@
+"""Random stories of a robot that explores with a map that misbehaves, in plain NumPy.
+
+The robot builds an occupancy grid of a part of a real map with a lidar. Its map closes loops, grows, is published at
+another resolution, inflated or in part forgotten; passages shut and open, and the robot gets stuck or lost.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dc2g_jax._src.grid.map_frame import MapFrame
+from dc2g_jax._src.planning.metric import MetricPlanner
+from dc2g_jax._src.planning.metric_map import MetricMap
+from tests.oracles.metric_oracle import FREE, OCCUPIED, UNKNOWN, Promises
+
+#: Meters of a pixel as in a message, of the planner's cells and of the smallest ones; and how far the robot sees.
+PIXEL, CELL, SMALLEST, RANGE = float(np.float32(0.1)), 0.2, 0.1, 1.0
+
+#: Pixels along a side of the world.
+SIDE = 36
+
+#: Decisions while the map misbehaves, and most decisions after that.
+NOISY, MOST = 12, 250
+
+#: A subgoal that the robot has failed to reach so often is set aside, as the node for ROS 2 does.
+TRIES = 2
+
+
+class Told(NamedTuple):
+    """A story: how it ended, its decisions, the slowest one in seconds, and the free ground that was not seen."""
+
+    end: str
+    decisions: int
+    slowest: float
+    unseen: float
+
+
+class Story:
+    """One robot in one world.
+
+    Attributes:
+      free: ground that the robot can drive on, bool [h w], y upward.
+      known: what the robot has seen, int8 [h w].
+    """
+
+    def __init__(self, world: np.ndarray, rng: np.random.Generator, degrees: float):
+        world = np.pad(world[1:-1, 1:-1], 1)
+        self.rng, self.free, self.degrees = rng, world.copy(), degrees
+        self.known = np.full(world.shape, UNKNOWN, np.int8)
+        self.specks = rng.random(world.shape) < rng.choice([0.0, 0.0, 0.003, 0.01])
+        self.glass = ~world & self._blob(rng.integers(0, 4), 6)
+        self.range = RANGE * rng.uniform(0.8, 1.3)
+        start = rng.choice(np.argwhere(world))
+        self.x, self.y, self.yaw = float(start[1]) + 0.5, float(start[0]) + 0.5, float(rng.uniform(-3, 3))
+        self.turn, self.jump, self.grid_yaw = 0.0, (0.0, 0.0), 0.0
+        self.scale, self.inflation, self.stuck, self.lost = 1.0, 0, 0, (0.0, 0.0)
+        self.fraction = float(rng.choice([0.0, 0.25]))
+        self.doors: list[tuple[float, float]] = []
+        self.shut: list[np.ndarray] = []
+
+    # --- the world ----------------------------------------------------------------------------------------------------
+
+    def _blob(self, count: int, size: int) -> np.ndarray:
+        """Random rectangles."""
+        cells = np.zeros(self.free.shape, bool)
+        for _ in range(count):
+            y, x = (self.rng.integers(side) for side in self.free.shape)
+            height, width = self.rng.integers(1, size + 1, 2)
+            cells[y : y + height, x : x + width] = True
+        return cells
+
+    def look(self) -> None:
+        """What a lidar sees. Rays go through glass, which stays unknown."""
+        directions = self.yaw + np.radians(self.degrees) * (np.arange(160) / 159 - 0.5)
+        along = np.arange(0, self.range / PIXEL, 0.5)
+        x = np.floor(self.x + along * np.cos(directions)[:, None]).astype(int)
+        y = np.floor(self.y + along * np.sin(directions)[:, None]).astype(int)
+        inside = (x >= 0) & (x < SIDE) & (y >= 0) & (y < SIDE)
+        x, y = x.clip(0, SIDE - 1), y.clip(0, SIDE - 1)
+        stops = (~self.free & ~self.glass)[y, x] | ~inside
+        before = np.cumsum(stops, axis=1)
+        is_free, is_hit = (before == 0) & self.free[y, x], (before == 1) & stops & inside
+        self.known[y[is_free], x[is_free]] = FREE
+        self.known[y[is_hit], x[is_hit]] = OCCUPIED
+        here_x, here_y = int(self.x), int(self.y)
+        self.known[here_y, here_x] = FREE
+        self.known[self.specks] = UNKNOWN
+
+    def drive(self, path: Any, some: int) -> bool:
+        """Follow the first poses of a path in the map frame, and look from each. False if the robot gets stuck."""
+        for pose in path[1 : some + 1]:
+            x, y, yaw = self.in_world(pose)
+            if self.stuck or not self._is_free((x + self.x) / 2, (y + self.y) / 2) or not self._is_free(x, y):
+                self.look()
+                return False
+            off = self.rng.uniform(-0.45, 0.45, 2) * CELL / PIXEL / 2
+            if self._is_free(x + off[0], y + off[1]):
+                x, y = x + off[0], y + off[1]
+            self.x, self.y, self.yaw = x, y, yaw + self.rng.uniform(-0.2, 0.2)
+            self.look()
+        return True
+
+    def _is_free(self, x: float, y: float) -> bool:
+        return 0 <= x < SIDE and 0 <= y < SIDE and bool(self.free[int(y), int(x)])
+
+    # --- the map ------------------------------------------------------------------------------------------------------
+
+    def in_map(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+        """A pose of the world in pixels as one in the map frame in meters."""
+        middle, cos, sin = SIDE / 2, math.cos(self.turn), math.sin(self.turn)
+        east, north = x - middle, y - middle
+        right = east * cos - north * sin + middle + self.jump[0]
+        up = east * sin + north * cos + middle + self.jump[1]
+        there = MapFrame(0.0, 0.0, self.grid_yaw).to_map((right + self.fraction) * PIXEL, (up + self.fraction) * PIXEL)
+        return *there, yaw + self.turn + self.grid_yaw
+
+    def in_world(self, pose: Any) -> tuple[float, float, float]:
+        """The inverse of `in_map`."""
+        right, up = (
+            at / PIXEL - self.fraction for at in MapFrame(0.0, 0.0, self.grid_yaw).to_grid(pose[0], pose[1])
+        )
+        middle, cos, sin = SIDE / 2, math.cos(self.turn), math.sin(self.turn)
+        east, north = right - middle - self.jump[0], up - middle - self.jump[1]
+        return east * cos + north * sin + middle, north * cos - east * sin + middle, pose[2] - self.turn - self.grid_yaw
+
+    def grid(self) -> MetricMap:
+        """The map as it is published: what is known, and some pixels around."""
+        known = self.known
+        if self.inflation:
+            walls, grown = known == OCCUPIED, known == OCCUPIED
+            for dy in range(-self.inflation, self.inflation + 1):
+                for dx in range(-self.inflation, self.inflation + 1):
+                    grown = grown | np.roll(np.pad(walls, 4), (dy, dx), (0, 1))[4:-4, 4:-4]
+            known = np.where(grown, np.int8(OCCUPIED), known)
+        frame = 12
+        y, x = (index - frame + 0.5 - SIDE / 2 for index in np.indices((SIDE + 2 * frame,) * 2))
+        x, y = x - self.jump[0], y - self.jump[1]
+        cos, sin = math.cos(self.turn), math.sin(self.turn)
+        column, row = (np.floor(at + SIDE / 2).astype(int) for at in (x * cos + y * sin, y * cos - x * sin))
+        pixels = np.pad(known, 1, constant_values=UNKNOWN)[(row + 1).clip(0, SIDE + 1), (column + 1).clip(0, SIDE + 1)]
+        here = self.in_map(self.x, self.y, 0.0)
+        left, bottom, right, top = self._window(pixels, frame)
+        pixels = pixels[bottom:top, left:right]
+        corner = [(at - frame + self.fraction) * PIXEL for at in (left, bottom)]
+        del here
+        size = PIXEL
+        if self.scale == 2:
+            (rows, columns), size = pixels.shape, 2 * PIXEL
+            four = pixels.reshape(rows // 2, 2, columns // 2, 2).swapaxes(1, 2).reshape(rows // 2, columns // 2, 4)
+            pixels = np.where((four == OCCUPIED).any(-1), OCCUPIED, np.where((four == FREE).all(-1), FREE, UNKNOWN))
+        elif self.scale == 0.5:
+            pixels, size = pixels.repeat(2, 0).repeat(2, 1), PIXEL / 2
+        origin = MapFrame(0.0, 0.0, self.grid_yaw).to_map(*corner)
+        return MetricMap(pixels.astype(np.int8), size, MapFrame(*origin, self.grid_yaw))
+
+    def _window(self, pixels: np.ndarray, frame: int) -> tuple[int, int, int, int]:
+        """Left, bottom, right and top of the known part, the robot and a margin, even numbers."""
+        x, y = (
+            at / PIXEL - self.fraction + frame
+            for at in MapFrame(0.0, 0.0, self.grid_yaw).to_grid(*self.pose()[:2])
+        )
+        rows, columns = np.nonzero(pixels != UNKNOWN)
+        low, high = ([*map(pick, (columns, rows), (int(x), int(y)))] for pick in (_least, _most))
+        left, bottom = (int(max(at - self.rng.integers(1, 5), 0)) // 2 * 2 for at in low)
+        right, top = (int(min(at + self.rng.integers(2, 6), len(pixels))) // 2 * 2 for at in high)
+        return left, bottom, right, top
+
+    def pose(self) -> tuple[float, float, float]:
+        """Where the robot believes that it is, in the map frame."""
+        return self.in_map(self.x + self.lost[0], self.y + self.lost[1], self.yaw)
+
+    # --- misbehavior --------------------------------------------------------------------------------------------------
+
+    def misbehave(self) -> str:
+        """Let something happen, and tell what."""
+        kinds: list[Callable[[], None]] = [
+            self._close_loop, self._turn_grid, self._change_resolution, self._inflate, self._shut, self._open,
+            self._get_stuck, self._get_lost, self._forget, self._find_door, self._lose_door, self._blink,
+        ]  # fmt: skip
+        kind = kinds[self.rng.integers(len(kinds))]
+        kind()
+        return kind.__name__.strip("_")
+
+    def _close_loop(self) -> None:
+        self.turn += self.rng.uniform(-0.1, 0.1)
+        self.jump = tuple(np.clip(self.jump + self.rng.uniform(-2, 2, 2), -4, 4).tolist())
+
+    def _turn_grid(self) -> None:
+        self.grid_yaw = float(self.rng.choice([0.0, self.rng.uniform(-3, 3)]))
+
+    def _change_resolution(self) -> None:
+        self.scale = float(self.rng.choice([0.5, 1.0, 2.0]))
+
+    def _inflate(self) -> None:
+        self.inflation = int(self.rng.integers(0, 4))
+
+    def _shut(self) -> None:
+        passage = self._blob(1, 8) & self.free
+        passage[max(int(self.y) - 1, 0) : int(self.y) + 2, max(int(self.x) - 1, 0) : int(self.x) + 2] = False
+        self.free &= ~passage
+        self.shut.append(passage)
+
+    def _open(self) -> None:
+        if self.shut:
+            self.free |= self.shut.pop(self.rng.integers(len(self.shut)))
+
+    def _get_stuck(self) -> None:
+        self.stuck = int(self.rng.integers(1, 6))
+
+    def _get_lost(self) -> None:
+        self.lost = tuple(self.rng.uniform(-4, 4, 2).tolist())
+
+    def _forget(self) -> None:
+        part = self._blob(1, 12)
+        part |= self.rng.random() < 0.1
+        if self.rng.random() < 0.5:
+            part[max(int(self.y) - 2, 0) : int(self.y) + 3, max(int(self.x) - 2, 0) : int(self.x) + 3] = True
+        self.known[part] = UNKNOWN
+
+    def _find_door(self) -> None:
+        place = self.rng.uniform(-3, SIDE + 3, 2)
+        self.doors.append((float(place[0]), float(place[1])))
+
+    def _lose_door(self) -> None:
+        self.doors = self.doors[1:]
+
+    def _blink(self) -> None:
+        pixels = (self.known != UNKNOWN) & (self.rng.random(self.known.shape) < 0.02)
+        self.known[pixels] = self.rng.choice([FREE, OCCUPIED, UNKNOWN], np.count_nonzero(pixels))
+
+    def calm(self) -> None:
+        """From here on the map is static."""
+        self.stuck, self.lost = 0, (0.0, 0.0)
+        self.doors = self.doors if self.rng.random() < 0.3 else []
+
+    # --- the story ----------------------------------------------------------------------------------------------------
+
+    def tell(self, planner: MetricPlanner) -> Told:
+        """Explore to the end."""
+        promises = Promises(CELL, SMALLEST, RANGE, self.degrees)
+        slowest, failed, at_door = 0.0, [], 0
+        self.look()
+        for number in range(NOISY + MOST):
+            if number < NOISY and self.rng.random() < 0.35:
+                self.misbehave()
+            if number == NOISY:
+                self.calm()
+            self.stuck = max(self.stuck - 1, 0)
+            grid, pose = self.grid(), self.pose()
+            if number < NOISY and self.rng.random() < 0.3:
+                self.lost = 0.0, 0.0
+            doors = [self.in_map(*door, 0.0)[:2] for door in self.doors]
+            started = time.process_time()
+            decision = planner.plan(grid, pose, doors=doors)
+            slowest = max(slowest, time.process_time() - started)
+            promises.check(grid, pose, doors, decision)
+            if decision.subgoal is None:
+                if number >= NOISY:
+                    return Told("gave_up", number + 1, slowest, self._unseen())
+                self.look()
+                continue
+            whole = len(decision.path) - 1
+            some = whole if self.rng.random() < 0.7 else int(self.rng.integers(0, whole + 1))
+            if self.drive(decision.path, some):
+                if decision.mode == "to_goal" and some == whole:
+                    at_door += number >= NOISY
+                    if at_door:
+                        return Told("to_goal", number + 1, slowest, self._unseen())
+                continue
+            if decision.mode == "to_goal":
+                at_door += number >= NOISY
+                if at_door > 5:
+                    return Told("blocked", number + 1, slowest, self._unseen())
+                continue
+            if sum(math.dist(decision.subgoal, other) < 0.01 for other in failed) + 1 >= TRIES:
+                planner.set_aside(decision.subgoal)
+                promises.set_aside(decision.subgoal)
+            failed.append(decision.subgoal)
+        raise AssertionError(f"no end after {NOISY + MOST} decisions")
+
+    def _unseen(self) -> float:
+        """The share of the ground that the robot can reach, a pixel at a time, and has not seen."""
+        found, queue = {(int(self.x), int(self.y))}, [(int(self.x), int(self.y))]
+        while queue:
+            x, y = queue.pop()
+            for there in ((x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)):
+                if there not in found and self._is_free(*there):
+                    found.add(there)
+                    queue.append(there)
+        return sum(self.known[y, x] == UNKNOWN for x, y in found) / len(found)
+
+
+def _least(many: np.ndarray, one: int) -> int:
+    return min([*many.tolist(), one])
+
+
+def _most(many: np.ndarray, one: int) -> int:
+    return max([*many.tolist(), one]) + 1
+
+
+def windows(maps: list[np.ndarray], rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Parts of maps, bool [SIDE SIDE], with ground in them."""
+    while True:
+        free = maps[rng.integers(len(maps))]
+        y, x = (rng.integers(max(1, side - SIDE + 1)) for side in free.shape)
+        part = free[y : y + SIDE, x : x + SIDE]
+        part = np.pad(part, [(0, SIDE - side) for side in part.shape])
+        part = np.rot90(part, rng.integers(4))
+        if 0.1 < part.mean():
+            yield part
+
+
+def story(number: int, maps: list[np.ndarray]) -> Story:
+    """The story of this number."""
+    rng = np.random.default_rng(number)
+    return Story(next(windows(maps, rng)), rng, (90.0, 360.0)[number % 2])
