@@ -9,6 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
@@ -22,36 +23,41 @@ Looked = tuple[Cell, frozenset[Cell]]
 
 
 class Ground:
-    """A map in cells of `factor` pixels along a side: each is occupied, unknown or free as its worst pixel is."""
+    """A map in cells of `factor` pixels along a side: each is occupied, else unknown, else free, as its worst pixel.
+
+    The robot's own cell and doors are free. So that doors beside the map count, some unknown cells surround it.
+    """
 
     def __init__(self, grid: Any, factor: int, pose: tuple[float, float, float], doors=()):
         self.size, self.yaw, self.resolution = factor * grid.resolution, grid.origin.yaw, grid.resolution
-        along = [self._turned(*grid.origin[:2])[axis] / grid.resolution for axis in (0, 1)]
+        along = [meters / grid.resolution for meters in self._turned(*grid.origin[:2])]
         first = [math.floor(pixels + 0.01) for pixels in along]
         self._offset = [(pixels - whole) * grid.resolution for pixels, whole in zip(along, first, strict=True)]
-        worst: dict[Cell, int] = {}
-        for pixel, value in (FREE, 1), (UNKNOWN, 2), (OCCUPIED, 3):
-            rows, columns = np.nonzero(grid.cells == pixel)
-            cells = {(int(x), int(y)) for x, y in zip((columns + first[0]) // factor, (rows + first[1]) // factor)}
-            worst |= dict.fromkeys(cells, value)
-        for edge in self._cut(grid.cells.shape, first, factor):
-            if worst[edge] == 1:
-                worst[edge] = 2
-        self.robot, self.heading = self.cell(*pose[:2]), round((pose[2] - self.yaw) / (math.pi / 2)) % 4
+        badness = np.select([grid.cells == OCCUPIED, grid.cells == UNKNOWN], [2, 1], 0)
+        frame = [
+            (start % factor + 2 * factor, -(start + count) % factor + 2 * factor)
+            for start, count in zip(first[::-1], badness.shape, strict=True)
+        ]
+        badness = np.pad(badness, frame, constant_values=1)
+        rows, columns = (count // factor for count in badness.shape)
+        worst = badness.reshape(rows, factor, columns, factor).max((1, 3))
+        self._corner = first[0] // factor - 2, first[1] // factor - 2
+        self.robot, self.heading = self.pose(pose)
         self.doors = {self.cell(*door) for door in doors}
-        self.free = {cell for cell, value in worst.items() if value == 1} | {self.robot} | self.doors
-        self.occupied = {cell for cell, value in worst.items() if value == 3} - self.free
-        self.reachable = self._flooded()
+        is_free = worst == 0
+        for x, y in (self.robot, *self.doors):
+            x, y = x - self._corner[0], y - self._corner[1]
+            if 0 <= x < columns and 0 <= y < rows:
+                is_free[y, x], worst[y, x] = True, 0
+        parts, _ = ndimage.label(is_free)
+        self.free, self.occupied = self._cells(is_free), self._cells(worst == 2)
+        at_robot = parts[self.robot[1] - self._corner[1], self.robot[0] - self._corner[0]]
+        self.reachable = self._cells(parts == at_robot)
 
-    @staticmethod
-    def _cut(shape: tuple[int, ...], first: list[int], factor: int) -> set[Cell]:
-        """Cells of which a part is off the map."""
-        spans = [(start, start + count) for start, count in zip(first, shape[::-1], strict=True)]
-        (left, right), (bottom, top) = spans
-        columns, rows = range(left // factor, -(-right // factor)), range(bottom // factor, -(-top // factor))
-        part = {(x, y) for x in columns for y in (rows[0], rows[-1])} | {(x, y) for y in rows for x in (columns[0], columns[-1])}
-        whole = lambda at, span: at * factor >= span[0] and (at + 1) * factor <= span[1]  # noqa: E731
-        return {(x, y) for x, y in part if not (whole(x, spans[0]) and whole(y, spans[1]))}
+    def _cells(self, chosen: np.ndarray) -> set[Cell]:
+        rows, columns = np.nonzero(chosen)
+        left, bottom = self._corner
+        return set(zip((columns + left).tolist(), (rows + bottom).tolist(), strict=True))
 
     def _turned(self, x: float, y: float) -> tuple[float, float]:
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
@@ -65,16 +71,6 @@ class Ground:
     def pose(self, pose: tuple[float, float, float]) -> tuple[Cell, int]:
         """Cell and nearest quarter turn."""
         return self.cell(*pose[:2]), round((pose[2] - self.yaw) / (math.pi / 2)) % 4
-
-    def _flooded(self) -> set[Cell]:
-        found, queue = {self.robot}, [self.robot]
-        while queue:
-            x, y = queue.pop()
-            for dx, dy in TURNS:
-                if (there := (x + dx, y + dy)) in self.free and there not in found:
-                    found.add(there)
-                    queue.append(there)
-        return found
 
     def is_unknown(self, cell: Cell) -> bool:
         return cell not in self.free and cell not in self.occupied
@@ -101,12 +97,17 @@ def _offsets(reach: int, degrees: float) -> list[tuple[Cell, list[Cell]]]:
     near = range(-reach, reach + 1)
     found = []
     for dx, dy in sorted(((x, y) for x in near for y in near if (x, y) != (0, 0)), key=lambda at: max(map(abs, at))):
-        if math.hypot(dx, dy) > reach or (degrees < 360 and math.degrees(math.atan2(abs(dy), dx)) >= degrees / 2 - 1e-9):
+        if math.hypot(dx, dy) > reach or (
+            degrees < 360 and math.degrees(math.atan2(abs(dy), dx)) >= degrees / 2 - 1e-9
+        ):
             continue
         longest = max(abs(dx), abs(dy))
         exact = [at * (longest - 1) / longest for at in (dx, dy)]
-        before = {(a, b) for a in {math.floor(exact[0] + 1e-9), math.ceil(exact[0] - 1e-9)}
-                  for b in {math.floor(exact[1] + 1e-9), math.ceil(exact[1] - 1e-9)}}
+        before = {
+            (a, b)
+            for a in {math.floor(exact[0] + 1e-9), math.ceil(exact[0] - 1e-9)}
+            for b in {math.floor(exact[1] + 1e-9), math.ceil(exact[1] - 1e-9)}
+        }
         found.append(((dx, dy), sorted(before)))
     return found
 
@@ -117,7 +118,9 @@ def view(ground: Ground, pose: tuple[Cell, int], reach: int, degrees: float) -> 
     surely, maybe, result = {(0, 0)}, {(0, 0)}, View(set(), set())
     opaque = ground.occupied
     for offset, before in _offsets(reach, degrees):
-        through = [at == (0, 0) or (x + at[0] * fx - at[1] * fy, y + at[0] * fy + at[1] * fx) not in opaque for at in before]
+        through = [
+            at == (0, 0) or (x + at[0] * fx - at[1] * fy, y + at[0] * fy + at[1] * fx) not in opaque for at in before
+        ]
         cell = x + offset[0] * fx - offset[1] * fy, y + offset[0] * fy + offset[1] * fx
         # (What is before a cell at the edge of the view may be out of view; then another cell beside the line counts.)
         if all(at in surely and clear for at, clear in zip(before, through, strict=True)):
@@ -149,7 +152,8 @@ class Promises:
             return
         reach = math.floor(self._range / ground.size + 1e-4)
         seen = view(ground, ground.pose(pose), reach, self._degrees)
-        self._surely[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.surely}
+        if ground.pose(pose)[0] in ground.free:  # what is seen from ground that the map has forgotten is left open
+            self._surely[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.surely}
         self._maybe[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.maybe}
 
     def check(self, grid, pose, doors, decision) -> None:

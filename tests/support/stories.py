@@ -7,6 +7,7 @@ another resolution, inflated or in part forgotten; passages shut and open, and t
 import math
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,16 +15,17 @@ import numpy as np
 from dc2g_jax._src.grid.map_frame import MapFrame
 from dc2g_jax._src.planning.metric import MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap
+from dc2g_jax._src.readers.occupancy import read_occupancy_map
 from tests.oracles.metric_oracle import FREE, OCCUPIED, UNKNOWN, Promises
 
 #: Meters of a pixel as in a message, of the planner's cells and of the smallest ones; and how far the robot sees.
 PIXEL, CELL, SMALLEST, RANGE = float(np.float32(0.1)), 0.2, 0.1, 1.0
 
-#: Pixels along a side of the world.
-SIDE = 36
+#: Pixels along a side of the world, one of these.
+SIDES = (18, 24, 30)
 
 #: Decisions while the map misbehaves, and most decisions after that.
-NOISY, MOST = 12, 250
+NOISY, MOST = 10, 300
 
 #: A subgoal that the robot has failed to reach so often is set aside, as the node for ROS 2 does.
 TRIES = 2
@@ -47,14 +49,18 @@ class Story:
     """
 
     def __init__(self, world: np.ndarray, rng: np.random.Generator, degrees: float):
-        world = np.pad(world[1:-1, 1:-1], 1)
+        self.side = len(world)
         self.rng, self.free, self.degrees = rng, world.copy(), degrees
         self.known = np.full(world.shape, UNKNOWN, np.int8)
         self.specks = rng.random(world.shape) < rng.choice([0.0, 0.0, 0.003, 0.01])
         self.glass = ~world & self._blob(rng.integers(0, 4), 6)
         self.range = RANGE * rng.uniform(0.8, 1.3)
         start = rng.choice(np.argwhere(world))
-        self.x, self.y, self.yaw = float(start[1]) + 0.5, float(start[0]) + 0.5, float(rng.uniform(-3, 3))
+        self.x, self.y, self.yaw = (
+            start[1] + rng.uniform(0.1, 0.9),
+            start[0] + rng.uniform(0.1, 0.9),
+            rng.uniform(-3, 3),
+        )
         self.turn, self.jump, self.grid_yaw = 0.0, (0.0, 0.0), 0.0
         self.scale, self.inflation, self.stuck, self.lost = 1.0, 0, 0, (0.0, 0.0)
         self.fraction = float(rng.choice([0.0, 0.25]))
@@ -78,8 +84,8 @@ class Story:
         along = np.arange(0, self.range / PIXEL, 0.5)
         x = np.floor(self.x + along * np.cos(directions)[:, None]).astype(int)
         y = np.floor(self.y + along * np.sin(directions)[:, None]).astype(int)
-        inside = (x >= 0) & (x < SIDE) & (y >= 0) & (y < SIDE)
-        x, y = x.clip(0, SIDE - 1), y.clip(0, SIDE - 1)
+        inside = (x >= 0) & (x < self.side) & (y >= 0) & (y < self.side)
+        x, y = x.clip(0, self.side - 1), y.clip(0, self.side - 1)
         stops = (~self.free & ~self.glass)[y, x] | ~inside
         before = np.cumsum(stops, axis=1)
         is_free, is_hit = (before == 0) & self.free[y, x], (before == 1) & stops & inside
@@ -97,20 +103,21 @@ class Story:
                 self.look()
                 return False
             off = self.rng.uniform(-0.45, 0.45, 2) * CELL / PIXEL / 2
-            if self._is_free(x + off[0], y + off[1]):
-                x, y = x + off[0], y + off[1]
+            close = (off * sides / 100 for sides in ((1, 1), (1, -1), (-1, 1), (-1, -1)))
+            right, up = next(each for each in (off, *close) if self._is_free(x + each[0], y + each[1]))
+            x, y = x + right, y + up
             self.x, self.y, self.yaw = x, y, yaw + self.rng.uniform(-0.2, 0.2)
             self.look()
         return True
 
     def _is_free(self, x: float, y: float) -> bool:
-        return 0 <= x < SIDE and 0 <= y < SIDE and bool(self.free[int(y), int(x)])
+        return 0 <= x < self.side and 0 <= y < self.side and bool(self.free[int(y), int(x)])
 
     # --- the map ------------------------------------------------------------------------------------------------------
 
     def in_map(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
         """A pose of the world in pixels as one in the map frame in meters."""
-        middle, cos, sin = SIDE / 2, math.cos(self.turn), math.sin(self.turn)
+        middle, cos, sin = self.side / 2, math.cos(self.turn), math.sin(self.turn)
         east, north = x - middle, y - middle
         right = east * cos - north * sin + middle + self.jump[0]
         up = east * sin + north * cos + middle + self.jump[1]
@@ -119,10 +126,8 @@ class Story:
 
     def in_world(self, pose: Any) -> tuple[float, float, float]:
         """The inverse of `in_map`."""
-        right, up = (
-            at / PIXEL - self.fraction for at in MapFrame(0.0, 0.0, self.grid_yaw).to_grid(pose[0], pose[1])
-        )
-        middle, cos, sin = SIDE / 2, math.cos(self.turn), math.sin(self.turn)
+        right, up = (at / PIXEL - self.fraction for at in MapFrame(0.0, 0.0, self.grid_yaw).to_grid(pose[0], pose[1]))
+        middle, cos, sin = self.side / 2, math.cos(self.turn), math.sin(self.turn)
         east, north = right - middle - self.jump[0], up - middle - self.jump[1]
         return east * cos + north * sin + middle, north * cos - east * sin + middle, pose[2] - self.turn - self.grid_yaw
 
@@ -136,16 +141,16 @@ class Story:
                     grown = grown | np.roll(np.pad(walls, 4), (dy, dx), (0, 1))[4:-4, 4:-4]
             known = np.where(grown, np.int8(OCCUPIED), known)
         frame = 12
-        y, x = (index - frame + 0.5 - SIDE / 2 for index in np.indices((SIDE + 2 * frame,) * 2))
+        y, x = (index - frame + 0.5 - self.side / 2 for index in np.indices((self.side + 2 * frame,) * 2))
         x, y = x - self.jump[0], y - self.jump[1]
         cos, sin = math.cos(self.turn), math.sin(self.turn)
-        column, row = (np.floor(at + SIDE / 2).astype(int) for at in (x * cos + y * sin, y * cos - x * sin))
-        pixels = np.pad(known, 1, constant_values=UNKNOWN)[(row + 1).clip(0, SIDE + 1), (column + 1).clip(0, SIDE + 1)]
-        here = self.in_map(self.x, self.y, 0.0)
+        column, row = (np.floor(at + self.side / 2).astype(int) for at in (x * cos + y * sin, y * cos - x * sin))
+        pixels = np.pad(known, 1, constant_values=UNKNOWN)[
+            (row + 1).clip(0, self.side + 1), (column + 1).clip(0, self.side + 1)
+        ]
         left, bottom, right, top = self._window(pixels, frame)
         pixels = pixels[bottom:top, left:right]
         corner = [(at - frame + self.fraction) * PIXEL for at in (left, bottom)]
-        del here
         size = PIXEL
         if self.scale == 2:
             (rows, columns), size = pixels.shape, 2 * PIXEL
@@ -157,15 +162,17 @@ class Story:
         return MetricMap(pixels.astype(np.int8), size, MapFrame(*origin, self.grid_yaw))
 
     def _window(self, pixels: np.ndarray, frame: int) -> tuple[int, int, int, int]:
-        """Left, bottom, right and top of the known part, the robot and a margin, even numbers."""
-        x, y = (
-            at / PIXEL - self.fraction + frame
-            for at in MapFrame(0.0, 0.0, self.grid_yaw).to_grid(*self.pose()[:2])
-        )
+        """Left, bottom, right and top of the known part, the robot and a margin."""
+        x, y = MapFrame(0.0, 0.0, self.grid_yaw).to_grid(*self.pose()[:2])
         rows, columns = np.nonzero(pixels != UNKNOWN)
-        low, high = ([*map(pick, (columns, rows), (int(x), int(y)))] for pick in (_least, _most))
-        left, bottom = (int(max(at - self.rng.integers(1, 5), 0)) // 2 * 2 for at in low)
-        right, top = (int(min(at + self.rng.integers(2, 6), len(pixels))) // 2 * 2 for at in high)
+        ends = []
+        for known, at in ((columns, x), (rows, y)):
+            known = [*known.tolist(), math.floor(at / PIXEL - self.fraction) + frame]
+            low, high = min(known) - self.rng.integers(0, 4), max(known) + self.rng.integers(1, 5)
+            ends.append((max(low, 0), min(high, len(pixels))))
+        (left, right), (bottom, top) = ends
+        if self.scale == 2:  # whole pixels of twice the size
+            left, bottom, right, top = left // 2 * 2, bottom // 2 * 2, -(-right // 2) * 2, -(-top // 2) * 2
         return left, bottom, right, top
 
     def pose(self) -> tuple[float, float, float]:
@@ -179,6 +186,7 @@ class Story:
         kinds: list[Callable[[], None]] = [
             self._close_loop, self._turn_grid, self._change_resolution, self._inflate, self._shut, self._open,
             self._get_stuck, self._get_lost, self._forget, self._find_door, self._lose_door, self._blink,
+            self._shift,
         ]  # fmt: skip
         kind = kinds[self.rng.integers(len(kinds))]
         kind()
@@ -190,6 +198,9 @@ class Story:
 
     def _turn_grid(self) -> None:
         self.grid_yaw = float(self.rng.choice([0.0, self.rng.uniform(-3, 3)]))
+
+    def _shift(self) -> None:
+        self.fraction = float(self.rng.choice([0.0, 0.25, 0.5]))
 
     def _change_resolution(self) -> None:
         self.scale = float(self.rng.choice([0.5, 1.0, 2.0]))
@@ -221,7 +232,7 @@ class Story:
         self.known[part] = UNKNOWN
 
     def _find_door(self) -> None:
-        place = self.rng.uniform(-3, SIDE + 3, 2)
+        place = self.rng.uniform(-3, self.side + 3, 2)
         self.doors.append((float(place[0]), float(place[1])))
 
     def _lose_door(self) -> None:
@@ -293,24 +304,34 @@ class Story:
         return sum(self.known[y, x] == UNKNOWN for x, y in found) / len(found)
 
 
-def _least(many: np.ndarray, one: int) -> int:
-    return min([*many.tolist(), one])
-
-
-def _most(many: np.ndarray, one: int) -> int:
-    return max([*many.tolist(), one]) + 1
+def worlds_of(files: list[Path]) -> list[np.ndarray]:
+    """The free ground of ROS maps that are large enough, bool [h w], at half their resolution."""
+    maps = []
+    for file in files:
+        free = read_occupancy_map(file).free[::-1]
+        rows, columns = (side // 2 for side in free.shape)
+        if min(rows, columns) >= max(SIDES):
+            maps.append(free[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2).all((1, 3)))
+    return maps
 
 
 def windows(maps: list[np.ndarray], rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Parts of maps, bool [SIDE SIDE], with ground in them."""
+    """Parts of maps, bool [h w], surrounded by walls, with ground in them."""
     while True:
         free = maps[rng.integers(len(maps))]
-        y, x = (rng.integers(max(1, side - SIDE + 1)) for side in free.shape)
-        part = free[y : y + SIDE, x : x + SIDE]
-        part = np.pad(part, [(0, SIDE - side) for side in part.shape])
+        side = rng.choice(SIDES)
+        y, x = (rng.integers(all_of_it - side + 1) for all_of_it in free.shape)
+        part = free[y : y + side, x : x + side]
         part = np.rot90(part, rng.integers(4))
-        if 0.1 < part.mean():
-            yield part
+        if part.mean() > 0.1:
+            yield np.pad(part[1:-1, 1:-1], 1)
+
+
+def planner_for(story: Story) -> MetricPlanner:
+    """A planner whose programs fit all stories."""
+    return MetricPlanner(
+        cell_size=CELL, smallest_cell=SMALLEST, sensing_range=RANGE, field_of_view=story.degrees, largest=(56, 56)
+    )
 
 
 def story(number: int, maps: list[np.ndarray]) -> Story:

@@ -195,7 +195,7 @@ class MetricPlanner:
 
     def _set_aside(self, pose: MetricPose, drawn: DrawnMap) -> None:
         """Set aside the unknown cells of a map in view from a pose."""
-        terrain, left, top, cells, factor, _ = drawn
+        terrain, left, top, cells, factor, *_ = drawn
         reach = self._reach(cells.size)
         sensing = self._online[reach].rules.sensing
         x, y, heading = cells.pose_in(pose)
@@ -260,20 +260,29 @@ class MetricPlanner:
         self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]
     ) -> MetricDecision:
         """The decision in cells of `factor` pixels along a side."""
-        self._drawn = self._draw(grid, factor, here, doors)
-        terrain, left, top, cells, _, hidden = self._drawn
-        online = self._online_for(self._reach(cells.size), terrain.shape)
-        decision = online.plan(terrain, cells.pose_in(here), origin=(left, top))
-        path = [here, *(cells.center(*pose) for pose in decision.path[1:])] if decision.path else []
-        why = explain(decision.mode, decision.path, decision.candidates, cells.words)
-        if decision.mode == MODE_NAMES[GAVE_UP] and hidden:
-            why += f"; {hidden} cells are still unknown after the robot looked at them"
+        self._drawn = drawn = self._draw(grid, factor, here, doors)
+        cells, own = drawn.cells, drawn.cells.pose_in(here)
+        online = self._online_for(self._reach(cells.size), drawn.terrain.shape)
+        decision = online.plan(drawn.terrain, own, origin=(drawn.left, drawn.top))
+
+        def placed(x: int, y: int, heading: int) -> MetricPose:
+            """The middle of a cell. Where the map has no ground under the robot, it turns where it stands."""
+            pose = cells.center(x, y, heading)
+            return pose if drawn.on_ground or (x, y) != own[:2] else pose._replace(x=here.x, y=here.y)
+
+        def words(x: int, y: int, heading: int) -> tuple[str, str]:
+            pose = placed(x, y, heading)
+            return f"({pose.x:z.2f}, {pose.y:z.2f}) m", f"{math.degrees(pose.yaw):z.0f} degrees"
+
+        why = explain(decision.mode, decision.path, decision.candidates, words)
+        if decision.mode == MODE_NAMES[GAVE_UP] and drawn.aside:
+            why += f"; {drawn.aside} cells are still unknown after the robot looked at them"
         return MetricDecision(
             mode=decision.mode,
-            subgoal=cells.center(*decision.subgoal) if decision.subgoal else None,
-            path=tuple(path),
+            subgoal=placed(*decision.subgoal) if decision.subgoal else None,
+            path=(here, *(placed(*pose) for pose in decision.path[1:])) if decision.path else (),
             candidates=tuple(
-                MetricCandidate(cells.center(*each[:3]), each.cost_to_go, each.distance, each.score)
+                MetricCandidate(placed(*each[:3]), each.cost_to_go, each.distance, each.score)
                 for each in decision.candidates
             ),
             why=why,

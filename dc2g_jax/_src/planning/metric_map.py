@@ -96,11 +96,6 @@ class Cells(NamedTuple):
         middle = self.frame.to_map((x + 0.5) * self.size, -(y + 0.5) * self.size)
         return MetricPose(*middle, math.remainder(self.frame.yaw - heading * _QUARTER, math.tau))
 
-    def words(self, x: int, y: int, heading: int) -> tuple[str, str]:
-        """Names of a place and a direction."""
-        pose = self.center(x, y, heading)
-        return f"({pose.x:z.2f}, {pose.y:z.2f}) m", f"{math.degrees(pose.yaw):z.0f} degrees"
-
 
 class DrawnMap(NamedTuple):
     """The known part of a map, as the planner reads it.
@@ -112,6 +107,7 @@ class DrawnMap(NamedTuple):
       cells: where the cells lie.
       factor: pixels of the map along a side of a cell.
       aside: number of unknown cells that are set aside.
+      on_ground: whether the robot's cell is traversable on the map.
     """
 
     terrain: UInt8[np.ndarray, "h w"]
@@ -120,6 +116,7 @@ class DrawnMap(NamedTuple):
     cells: Cells
     factor: int
     aside: int
+    on_ground: bool
 
 
 def class_of_values(labels: Mapping[int, str] | None) -> UInt8[np.ndarray, "value"]:
@@ -189,7 +186,8 @@ def draw(
     pixels = np.pad(_terrain(grid, classes)[::-1], (above, beside))
     terrain = np.pad(sample_conservatively(pixels, beyond - left, below - top), margin)
     left, top = left - margin, top - margin
-    if not TRAVERSABLE[terrain[here.y - top, here.x - left]]:
+    on_ground = bool(TRAVERSABLE[terrain[here.y - top, here.x - left]])
+    if not on_ground:
         terrain[here.y - top, here.x - left] = FREE
     at_doors = (cells.pose_in(MetricPose(x, y, 0.0)) for x, y in doors)
     rows, columns, _ = _on_map(at_doors, terrain, left, top)
@@ -199,7 +197,8 @@ def draw(
     terrain[rows[is_aside], columns[is_aside]] = NOTHING
     rows, columns = (np.flatnonzero(np.any(terrain != UNKNOWN, axis=axis)) for axis in (1, 0))
     part = terrain[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return DrawnMap(part, int(left + columns[0]), int(top + rows[0]), cells, factor, int(is_aside.sum()))
+    first = int(left + columns[0]), int(top + rows[0])
+    return DrawnMap(part, *first, cells, factor, int(is_aside.sum()), on_ground)
 
 
 def ground_beside(terrain: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
