@@ -143,18 +143,24 @@ class Promises:
         self._surely: dict[float, set[Looked]] = collections.defaultdict(set)
         self._maybe: dict[float, set[Looked]] = collections.defaultdict(set)
         self._last: tuple[Ground, Any] | None = None
-        self._pending: tuple[Any, float] | None = None
+        self._pending: tuple[View, float] | None = None
 
-    def set_aside(self, pose, ground: Ground | None = None) -> None:
-        """What is in view from here does not count from now on."""
-        ground = ground or (self._last and self._last[0])
-        if ground is None:
-            return
-        reach = math.floor(self._range / ground.size + 1e-4)
-        seen = view(ground, ground.pose(pose), reach, self._degrees)
-        if ground.pose(pose)[0] in ground.free:  # what is seen from ground that the map has forgotten is left open
-            self._surely[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.surely}
-        self._maybe[round(ground.size, 6)] |= {ground.looked(cell) for cell in seen.maybe}
+    def _view(self, pose, ground: Ground) -> View:
+        if ground.pose(pose)[0] not in ground.free:  # what is seen from ground that the map has forgotten is left open
+            return View(set(), view(ground, ground.pose(pose), self._reach(ground), self._degrees).maybe)
+        return view(ground, ground.pose(pose), self._reach(ground), self._degrees)
+
+    def _reach(self, ground: Ground) -> int:
+        return math.floor(self._range / ground.size + 1e-4)
+
+    def set_aside(self, pose) -> None:
+        """What is in view from here on the last map does not count from now on."""
+        if self._last is not None:
+            self._put_aside(self._view(pose, self._last[0]), self._last[0])
+
+    def _put_aside(self, seen: View, ground: Ground) -> None:
+        for cells, aside in (seen.surely, self._surely), (seen.maybe, self._maybe):
+            aside[round(ground.size, 6)] |= {ground.looked(cell) for cell in cells if ground.is_unknown(cell)}
 
     def check(self, grid, pose, doors, decision) -> None:
         """Check a decision on a map."""
@@ -164,8 +170,8 @@ class Promises:
             self._maybe.clear()
             self._last = self._pending = None
         if self._pending is not None:
-            subgoal, size = self._pending
-            self.set_aside(subgoal, Ground(grid, round(size / grid.resolution), pose, doors))
+            seen, size = self._pending
+            self._put_aside(seen, Ground(grid, round(size / grid.resolution), pose, doors))
         self._pending = None
         factor = round(decision.cell_size / grid.resolution)
         ground = Ground(grid, factor, pose, doors)
@@ -174,7 +180,8 @@ class Promises:
             if last.mode == "explore":
                 away = math.dist(pose[:2], last.subgoal[:2])
                 if away <= before.size and before.pose(pose)[1] == before.pose(last.subgoal)[1]:
-                    self._pending = last.subgoal, before.size
+                    now = Ground(grid, round(before.size / grid.resolution), pose, doors)
+                    self._pending = self._view(last.subgoal, now), before.size
         {"gave_up": self._check_stop, "explore": self._check_exploring, "to_goal": self._check_going}[decision.mode](
             grid, pose, doors, decision, ground
         )
@@ -198,8 +205,7 @@ class Promises:
         self._check_path(pose, decision, ground)
         size = round(ground.size, 6)
         left = {cell for cell in ground.frontier() if ground.looked(cell) not in self._surely[size]}
-        reach = math.floor(self._range / ground.size + 1e-4)
-        assert left & view(ground, ground.pose(decision.subgoal), reach, self._degrees).maybe, "nothing to see there"
+        assert left & self._view(decision.subgoal, ground).maybe, "nothing to see there"
 
     def _check_stop(self, grid, pose, doors, decision, ground) -> None:
         smallest, factor = (

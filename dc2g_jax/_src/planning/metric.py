@@ -18,15 +18,15 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel
-from dc2g_jax._src.grid.terrain import UNKNOWN
+from dc2g_jax._src.grid.terrain import NOTHING, UNKNOWN
 from dc2g_jax._src.planning.decisions import explain
 from dc2g_jax._src.planning.metric_map import (
     DrawnMap,
     MetricMap,
     MetricPose,
+    beside_ground,
     class_of_values,
     draw,
-    ground_beside,
     in_map_frame,
 )
 from dc2g_jax._src.planning.online import OnlinePlanner
@@ -157,7 +157,7 @@ class MetricPlanner:
         self._aside: dict[int, set[tuple[int, int, int]]] = collections.defaultdict(set)
         self._drawn: DrawnMap | None = None
         self._target: MetricPose | None = None
-        self._reached: tuple[MetricPose, int] | None = None
+        self._looked_at: tuple[int, list[tuple[int, int]]] | None = None
 
     def plan(self, grid: MetricMap, pose: npt.ArrayLike, *, doors: Iterable[Sequence[float]] = ()) -> MetricDecision:
         """Decide the next subgoal (Algorithm 2).
@@ -191,24 +191,24 @@ class MetricPlanner:
           pose: the subgoal of the last decision.
         """
         if self._drawn is not None:
-            self._set_aside(pose, self._drawn)
+            self._put_aside(self._unknown_in_view(pose, self._drawn), self._drawn)
 
-    def _set_aside(self, pose: MetricPose, drawn: DrawnMap) -> None:
-        """Set aside the unknown cells of a map in view from a pose."""
-        terrain, left, top, cells, factor, *_ = drawn
+    def _put_aside(self, cells: Iterable[tuple[int, int]], drawn: DrawnMap) -> None:
+        """Set aside those of the cells that are unknown on a map. (No others than those beside ground ever count.)"""
+        self._aside[drawn.factor] |= beside_ground(cells, drawn.terrain, drawn.left, drawn.top)
+
+    def _unknown_in_view(self, pose: MetricPose, drawn: DrawnMap) -> list[tuple[int, int]]:
+        """Columns and rows of the unknown cells in view from a pose on a map, also of those set aside."""
+        terrain, left, top, cells, *_ = drawn
         reach = self._reach(cells.size)
         sensing = self._online[reach].rules.sensing
         x, y, heading = cells.pose_in(pose)
         if not (0 <= x - left < terrain.shape[1] and 0 <= y - top < terrain.shape[0]):
-            return
-        terrain = np.pad(terrain, reach)
-        window = np.s_[y - top : y - top + 2 * reach + 1, x - left : x - left + 2 * reach + 1]
-        around, beside = terrain[window], ground_beside(terrain)[window]
+            return []
+        around = np.pad(terrain, reach)[y - top :, x - left :][: 2 * reach + 1, : 2 * reach + 1]
         seen = jax.device_get(_in_view(around, np.int32(heading), sensing=sensing))
-        rows, columns = np.nonzero(seen & (around == UNKNOWN))
-        ground = beside[rows, columns].tolist()
-        found = zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), ground, strict=True)
-        self._aside[factor] |= set(found)
+        rows, columns = np.nonzero(seen & np.isin(around, (UNKNOWN, NOTHING)))
+        return list(zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), strict=True))
 
     def _look_around(self, here: MetricPose, grid: MetricMap, doors: Iterable[Sequence[float]]) -> None:
         """Set aside cells that stayed unknown when looked at. Forget them all if the map's cells have changed."""
@@ -220,16 +220,16 @@ class MetricPlanner:
             and math.isclose(cells.size, factor * grid.resolution, rel_tol=1e-6)
         ):
             self._aside.clear()
-            self._drawn = self._target = self._reached = None
+            self._drawn = self._target = self._looked_at = None
             return
-        if self._reached is not None:
-            subgoal, pixels = self._reached
-            self._set_aside(subgoal, self._draw(grid, pixels, here, doors))
-        self._reached = None
+        if self._looked_at is not None:
+            pixels, unknown = self._looked_at
+            self._put_aside(unknown, self._draw(grid, pixels, here, doors))
+        self._looked_at = None
         if self._target is not None:
             near = math.dist(here[:2], self._target[:2]) <= max(self._cell_size / 2, cells.size)
             if near and cells.pose_in(here).heading == cells.pose_in(self._target).heading:
-                self._reached = self._target, factor
+                self._looked_at = factor, self._unknown_in_view(self._target, self._draw(grid, factor, here, doors))
 
     def _reach(self, size: float) -> int:
         """Sensing range in cells of this side, in meters."""

@@ -1,7 +1,7 @@
 """Robots' own maps, in meters in the map frame, and how the planner reads them."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from jaxtyping import UInt8
 
 from dc2g_jax._src.grid.map_frame import MapFrame
-from dc2g_jax._src.grid.poses import HEADINGS
+from dc2g_jax._src.grid.poses import FORWARD, HEADINGS
 from dc2g_jax._src.grid.sampling import sample_conservatively
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, FRONT_DOOR, NOTHING, OCCUPIED, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.planning.decisions import RobotPose
@@ -148,7 +148,7 @@ def draw(
     robot: MetricPose,
     *,
     doors: Iterable[Sequence[float]],
-    aside: Iterable[tuple[int, int, int]],
+    aside: Set[tuple[int, int, int]],
     margin: int,
 ) -> DrawnMap:
     """Resample a map to coarser cells, see `grid.sampling.sample_conservatively`.
@@ -161,8 +161,7 @@ def draw(
       classes: class index of each value, see `class_of_values`.
       robot: pose of the robot. Its cell is traversable whatever the map says.
       doors: x and y of doors in the map frame.
-      aside: columns and rows that become `nothing` if they are unknown and have the same ground beside them, see
-        `ground_beside`.
+      aside: cells that become `nothing` as long as `beside_ground` says the same of them.
       margin: how far beyond the map's edges doors and cells set aside may lie, in cells.
 
     Raises:
@@ -190,22 +189,32 @@ def draw(
     if not on_ground:
         terrain[here.y - top, here.x - left] = FREE
     at_doors = (cells.pose_in(MetricPose(x, y, 0.0)) for x, y in doors)
-    rows, columns, _ = _on_map(at_doors, terrain, left, top)
-    terrain[rows, columns] = FRONT_DOOR
-    rows, columns, beside = _on_map(aside, terrain, left, top)
-    is_aside = (terrain[rows, columns] == UNKNOWN) & (ground_beside(terrain)[rows, columns] == beside)
-    terrain[rows[is_aside], columns[is_aside]] = NOTHING
+    terrain[_on_map(at_doors, terrain, left, top)] = FRONT_DOOR
+    still_aside = aside & beside_ground(aside, terrain, left, top)
+    terrain[_on_map(still_aside, terrain, left, top)] = NOTHING
     rows, columns = (np.flatnonzero(np.any(terrain != UNKNOWN, axis=axis)) for axis in (1, 0))
     part = terrain[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     first = int(left + columns[0]), int(top + rows[0])
-    return DrawnMap(part, *first, cells, factor, int(is_aside.sum()), on_ground)
+    return DrawnMap(part, *first, cells, factor, len(still_aside), on_ground)
 
 
-def ground_beside(terrain: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Which neighbors of each cell are traversable, a bit each."""
-    ground = np.pad(TRAVERSABLE[terrain], 1)
-    sides = ground[1:-1, 2:], ground[2:, 1:-1], ground[1:-1, :-2], ground[:-2, 1:-1]
-    return sum((side.astype(np.uint8) << bit for bit, side in enumerate(sides)), np.uint8(0))
+def beside_ground(
+    cells: Iterable[tuple[int, ...]], terrain: UInt8[np.ndarray, "h w"], left: int, top: int
+) -> set[tuple[int, int, int]]:
+    """Those of some cells that are unknown and beside ground: columns, rows, and a bit for each neighbor that is ground.
+
+    Args:
+      cells: columns and rows, and whatever else.
+      terrain: a map; what is beyond it is unknown.
+      left: column of its first cell.
+      top: row of its first cell.
+    """
+    rows, columns = _on_map(cells, np.pad(terrain, 1), left - 1, top - 1)
+    ground = np.pad(TRAVERSABLE[terrain], 2)
+    bits = sum(ground[1 + dy :, 1 + dx :][rows, columns].astype(int) << bit for bit, (dx, dy) in enumerate(FORWARD))
+    bits *= np.pad(terrain, 1)[rows, columns] == UNKNOWN
+    found = zip((columns + left - 1).tolist(), (rows + top - 1).tolist(), bits.tolist(), strict=True)
+    return {each for each in found if each[2]}
 
 
 def _terrain(grid: MetricMap, classes: UInt8[np.ndarray, "value"]) -> UInt8[np.ndarray, "h w"]:
@@ -228,11 +237,11 @@ def _covering(first: int, count: int, factor: int) -> tuple[int, int, tuple[int,
 
 def _on_map(
     cells: Iterable[tuple[int, ...]], terrain: np.ndarray, left: int, top: int
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Rows and columns of the cells that lie on a map whose first cell is at `left` and `top`, and what comes after."""
-    columns, rows, other = np.array([*cells], np.intp).reshape(-1, 3).T - np.array([[left], [top], [0]])
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Rows and columns of the cells that lie on a map whose first cell is at `left` and `top`."""
+    columns, rows = np.array([each[:2] for each in cells], np.intp).reshape(-1, 2).T - np.array([[left], [top]])
     inside = (rows >= 0) & (rows < terrain.shape[0]) & (columns >= 0) & (columns < terrain.shape[1])
-    return rows[inside], columns[inside], other[inside]
+    return rows[inside], columns[inside]
 
 
 def in_map_frame(name: str, values: npt.ArrayLike, count: int) -> tuple[float, ...]:
