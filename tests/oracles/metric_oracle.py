@@ -115,7 +115,8 @@ def _offsets(reach: int, degrees: float) -> list[tuple[Cell, list[Cell]]]:
 def view(ground: Ground, pose: tuple[Cell, int], reach: int, degrees: float) -> View:
     """The unknown cells in view from a pose; walls hide what is behind them."""
     (x, y), (fx, fy) = pose[0], TURNS[pose[1]]
-    surely, maybe, result = {(0, 0)}, {(0, 0)}, View(set(), set())
+    own = {pose[0]} if ground.is_unknown(pose[0]) else set()
+    surely, maybe, result = {(0, 0)}, {(0, 0)}, View(set(own), set(own))
     opaque = ground.occupied
     for offset, before in _offsets(reach, degrees):
         through = [

@@ -35,12 +35,12 @@ def corridor(length: int = 8) -> np.ndarray:
 
 
 @pytest.mark.parametrize("ground", [OCCUPIED, UNKNOWN])
-def test_a_robot_on_an_occupied_or_unknown_cell_leaves_it(ground):
-    cells = corridor()
+def test_a_robot_on_an_occupied_or_unknown_cell_turns_where_it_stands_and_leaves(ground):
+    cells, here = corridor(), place(2.3, 0.8, turns=2)
     cells[1, 2] = ground
-    decision = planner_of().plan(grid_of(cells), place(2, 1))
+    decision = planner_of().plan(grid_of(cells), here)
     assert decision.mode == "explore"
-    assert decision.path[0] == place(2, 1)
+    assert [pose[:2] for pose in decision.path[:3]] == [here[:2]] * 3
     np.testing.assert_allclose(decision.subgoal, place(5, 1))
 
 

@@ -94,11 +94,16 @@ class MetricPlanner:
     beyond the map's edges.
 
     If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to
-    `smallest_cell`, in whole pixels. So it gives up only if no unknown cell can be seen from ground that free cells of
-    that size connect to the robot. Cells that were set aside do not count: if the robot has reached its subgoal and a
-    cell in view is still unknown at the next call, that cell is set aside until it becomes known.
+    `smallest_cell`, in whole pixels. So it gives up only if no unknown cell lies beside ground that free cells of that
+    size connect to the robot, but for cells that only the robot's own pose has in view, and cells that were set aside.
 
-    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst.
+    The robot has reached its subgoal if it faces the same way and is within half of `cell_size`, or a cell. Cells in
+    view from there that are unknown now and at the next call are set aside, for as long as the same free cells lie
+    beside them. So exploration ends, also if the map changes back and forth. On a map of another resolution or
+    rotation, all cells count again.
+
+    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst. Only
+    where the map has no ground under the robot, it turns where it stands.
 
     Args:
       planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from
