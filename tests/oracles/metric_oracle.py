@@ -1,10 +1,11 @@
-"""What `MetricPlanner` promises, in plain loops over cells: what is left to explore on a map, and what a robot has seen.
+"""What `MetricPlanner` promises, in plain loops over cells: what is left to explore, and what a robot has looked at.
 
 Cells are (column, row), counted from the origin of the map frame along the map's rows, with y upward.
 """
 
 import collections
 import functools
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -85,7 +86,7 @@ class Ground:
 
 
 class View(NamedTuple):
-    """Unknown cells in view: those in plain sight, and with them those that may count as hidden by a corner."""
+    """Unknown cells in view: those in plain sight, and all that are if walls hide as little as they may."""
 
     surely: set[Cell]
     maybe: set[Cell]
@@ -115,24 +116,18 @@ def _offsets(reach: int, degrees: float) -> list[tuple[Cell, list[Cell]]]:
 def view(ground: Ground, pose: tuple[Cell, int], reach: int, degrees: float) -> View:
     """The unknown cells in view from a pose; walls hide what is behind them."""
     (x, y), (fx, fy) = pose[0], TURNS[pose[1]]
-    own = {pose[0]} if ground.is_unknown(pose[0]) else set()
-    surely, maybe, result = {(0, 0)}, {(0, 0)}, View(set(own), set(own))
-    opaque = ground.occupied
+
+    def cell(offset: Cell) -> Cell:
+        return x + offset[0] * fx - offset[1] * fy, y + offset[0] * fy + offset[1] * fx
+
+    surely, maybe = {(0, 0)}, {(0, 0)}
     for offset, before in _offsets(reach, degrees):
-        through = [
-            at == (0, 0) or (x + at[0] * fx - at[1] * fy, y + at[0] * fy + at[1] * fx) not in opaque for at in before
-        ]
-        cell = x + offset[0] * fx - offset[1] * fy, y + offset[0] * fy + offset[1] * fx
-        # (What is before a cell at the edge of the view may be out of view; then another cell beside the line counts.)
-        if all(at in surely and clear for at, clear in zip(before, through, strict=True)):
+        clear = {near for near in before if near == (0, 0) or cell(near) not in ground.occupied}
+        if all(near in surely & clear for near in before):
             surely.add(offset)
-        if any(at in maybe and clear for at, clear in zip(before, through, strict=True)):
+        if maybe & clear:
             maybe.add(offset)
-            if ground.is_unknown(cell):
-                result.maybe.add(cell)
-                if offset in surely:
-                    result.surely.add(cell)
-    return result
+    return View(*({at for at in map(cell, seen) if ground.is_unknown(at)} for seen in (surely, maybe)))
 
 
 class Promises:
@@ -140,16 +135,16 @@ class Promises:
 
     def __init__(self, cell_size: float, smallest_cell: float, sensing_range: float, degrees: float):
         self._cell_size, self._smallest, self._range, self._degrees = cell_size, smallest_cell, sensing_range, degrees
-        #: Cells that were looked at in vain, by the pixels of a cell: those in plain sight, and all that may be.
+        #: Cells that were looked at in vain, by their size: those in plain sight, and all that may have been in view.
         self._surely: dict[float, set[Looked]] = collections.defaultdict(set)
         self._maybe: dict[float, set[Looked]] = collections.defaultdict(set)
         self._last: tuple[Ground, Any] | None = None
         self._pending: tuple[View, float] | None = None
 
     def _view(self, pose, ground: Ground) -> View:
-        if ground.pose(pose)[0] not in ground.free:  # what is seen from ground that the map has forgotten is left open
-            return View(set(), view(ground, ground.pose(pose), self._reach(ground), self._degrees).maybe)
-        return view(ground, ground.pose(pose), self._reach(ground), self._degrees)
+        seen = view(ground, ground.pose(pose), self._reach(ground), self._degrees)
+        # What is in view from ground that the map has forgotten is left open.
+        return seen if ground.pose(pose)[0] in ground.free else View(set(), seen.maybe)
 
     def _reach(self, ground: Ground) -> int:
         return math.floor(self._range / ground.size + 1e-4)
@@ -192,7 +187,7 @@ class Promises:
         assert decision.path[0] == tuple(pose), "the path starts elsewhere"
         assert decision.path[-1] == decision.subgoal or len(decision.path) == 1
         poses = [ground.pose(each) for each in decision.path]
-        for (before, turn), (after, then) in zip(poses[:-1], poses[1:], strict=True):
+        for (before, turn), (after, then) in itertools.pairwise(poses):
             step = after[0] - before[0], after[1] - before[1]
             assert (step == TURNS[turn] and turn == then) or (step == (0, 0) and (then - turn) % 4 in (1, 3)), "a jump"
         assert all(cell in ground.free for cell, _ in poses), "the path leaves free ground"

@@ -1,9 +1,9 @@
 """Maps that misbehave: specks and glass, loops that close, doors that shut, inflated walls, and all of it at random.
 
-    STORIES=10000 pytest -n 0 -rP tests/planning/test_misbehaving_maps.py
+    STORIES=10000 pytest -n 0 -rP -m slow tests/planning/test_misbehaving_maps.py
 
-lets so many robots explore parts of real maps, instead of the first few, and says how they ended. `STORIES=500-1000`
-are those with these numbers.
+lets so many robots explore parts of real maps, and says how that ended. `STORIES=500-1000` are the stories with these
+numbers.
 """
 
 import collections
@@ -20,7 +20,7 @@ from tests.support import stories
 from tests.support.metric_maps import FRAME, FREE, OCCUPIED, PIXEL, REACH, TURNS, UNKNOWN, grid_of, place, planner_of
 
 #: Numbers of the stories.
-FIRST, _, BEYOND = os.environ.get("STORIES", "20").rpartition("-")
+FIRST, _, BEYOND = os.environ.get("STORIES", "200").rpartition("-")
 STORIES = range(int(FIRST or 0), int(BEYOND))
 
 #: Most seconds of CPU time that a decision takes.
@@ -165,7 +165,8 @@ def test_nothing_is_set_aside_from_beyond_the_map():
 # --- everything at random ---------------------------------------------------------------------------------------------
 
 
-def test_robots_whose_maps_misbehave_leave_no_frontier_that_they_can_reach(shared_files):
+@pytest.mark.slow
+def test_robots_whose_maps_misbehave_leave_no_frontier_that_they_can_reach(shared_files, optimized):
     """`tests.oracles.metric_oracle` checks each decision, and whether anything was left at the end."""
     worlds, ends, slowest, failed = stories.worlds_of(shared_files("datasets/ros_maps", "*.yaml")), [], 0.0, []
     for number in STORIES:

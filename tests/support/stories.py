@@ -6,11 +6,11 @@ another resolution, inflated or in part forgotten; passages shut and open, and t
 
 import math
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from dc2g_jax._src.grid.map_frame import MapFrame
 from dc2g_jax._src.planning.metric import MetricPlanner
@@ -23,6 +23,9 @@ PIXEL, CELL, SMALLEST, RANGE = float(np.float32(0.1)), 0.2, 0.1, 1.0
 
 #: Pixels along a side of the world, one of these.
 SIDES = (18, 24, 30)
+
+#: Pixels around the world, into which a map may be moved.
+FRAME = 12
 
 #: Decisions while the map misbehaves, and most decisions after that.
 NOISY, MOST = 10, 300
@@ -55,16 +58,13 @@ class Story:
         self.specks = rng.random(world.shape) < rng.choice([0.0, 0.0, 0.003, 0.01])
         self.glass = ~world & self._blob(rng.integers(0, 4), 6)
         self.range = RANGE * rng.uniform(0.8, 1.3)
-        start = rng.choice(np.argwhere(world))
-        self.x, self.y, self.yaw = (
-            start[1] + rng.uniform(0.1, 0.9),
-            start[0] + rng.uniform(0.1, 0.9),
-            rng.uniform(-3, 3),
-        )
+        row, column = rng.choice(np.argwhere(world))
+        self.x, self.y, self.yaw = column + rng.uniform(0.1, 0.9), row + rng.uniform(0.1, 0.9), rng.uniform(-3, 3)
+        # The map: how it is turned and moved against the world, and the grid against the map frame.
         self.turn, self.jump, self.grid_yaw = 0.0, (0.0, 0.0), 0.0
         self.scale, self.inflation, self.stuck, self.lost = 1.0, 0, 0, (0.0, 0.0)
         self.fraction = float(rng.choice([0.0, 0.25]))
-        self.doors: list[tuple[float, float]] = []
+        self.doors: list[tuple[float, ...]] = []
         self.shut: list[np.ndarray] = []
 
     # --- the world ----------------------------------------------------------------------------------------------------
@@ -91,8 +91,7 @@ class Story:
         is_free, is_hit = (before == 0) & self.free[y, x], (before == 1) & stops & inside
         self.known[y[is_free], x[is_free]] = FREE
         self.known[y[is_hit], x[is_hit]] = OCCUPIED
-        here_x, here_y = int(self.x), int(self.y)
-        self.known[here_y, here_x] = FREE
+        self.known[int(self.y), int(self.x)] = FREE
         self.known[self.specks] = UNKNOWN
 
     def drive(self, path: Any, some: int) -> bool:
@@ -105,8 +104,7 @@ class Story:
             off = self.rng.uniform(-0.45, 0.45, 2) * CELL / PIXEL / 2
             close = (off * sides / 100 for sides in ((1, 1), (1, -1), (-1, 1), (-1, -1)))
             right, up = next(each for each in (off, *close) if self._is_free(x + each[0], y + each[1]))
-            x, y = x + right, y + up
-            self.x, self.y, self.yaw = x, y, yaw + self.rng.uniform(-0.2, 0.2)
+            self.x, self.y, self.yaw = x + right, y + up, yaw + self.rng.uniform(-0.2, 0.2)
             self.look()
         return True
 
@@ -115,59 +113,49 @@ class Story:
 
     # --- the map ------------------------------------------------------------------------------------------------------
 
+    @property
+    def _frame(self) -> MapFrame:
+        """The frame of the grid."""
+        return MapFrame(0.0, 0.0, self.grid_yaw)
+
     def in_map(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
         """A pose of the world in pixels as one in the map frame in meters."""
-        middle, cos, sin = self.side / 2, math.cos(self.turn), math.sin(self.turn)
-        east, north = x - middle, y - middle
-        right = east * cos - north * sin + middle + self.jump[0]
-        up = east * sin + north * cos + middle + self.jump[1]
-        there = MapFrame(0.0, 0.0, self.grid_yaw).to_map((right + self.fraction) * PIXEL, (up + self.fraction) * PIXEL)
-        return *there, yaw + self.turn + self.grid_yaw
+        right, up = MapFrame(0.0, 0.0, self.turn).to_map(x - self.side / 2, y - self.side / 2)
+        right, up = (at + self.side / 2 + jump + self.fraction for at, jump in zip((right, up), self.jump, strict=True))
+        return *self._frame.to_map(right * PIXEL, up * PIXEL), yaw + self.turn + self.grid_yaw
 
     def in_world(self, pose: Any) -> tuple[float, float, float]:
         """The inverse of `in_map`."""
-        right, up = (at / PIXEL - self.fraction for at in MapFrame(0.0, 0.0, self.grid_yaw).to_grid(pose[0], pose[1]))
-        middle, cos, sin = self.side / 2, math.cos(self.turn), math.sin(self.turn)
-        east, north = right - middle - self.jump[0], up - middle - self.jump[1]
-        return east * cos + north * sin + middle, north * cos - east * sin + middle, pose[2] - self.turn - self.grid_yaw
+        along = zip(self._frame.to_grid(*pose[:2]), self.jump, strict=True)
+        right, up = (at / PIXEL - self.fraction - jump - self.side / 2 for at, jump in along)
+        x, y = MapFrame(0.0, 0.0, self.turn).to_grid(right, up)
+        return x + self.side / 2, y + self.side / 2, pose[2] - self.turn - self.grid_yaw
 
     def grid(self) -> MetricMap:
         """The map as it is published: what is known, and some pixels around."""
-        known = self.known
-        if self.inflation:
-            walls, grown = known == OCCUPIED, known == OCCUPIED
-            for dy in range(-self.inflation, self.inflation + 1):
-                for dx in range(-self.inflation, self.inflation + 1):
-                    grown = grown | np.roll(np.pad(walls, 4), (dy, dx), (0, 1))[4:-4, 4:-4]
-            known = np.where(grown, np.int8(OCCUPIED), known)
-        frame = 12
-        y, x = (index - frame + 0.5 - self.side / 2 for index in np.indices((self.side + 2 * frame,) * 2))
-        x, y = x - self.jump[0], y - self.jump[1]
-        cos, sin = math.cos(self.turn), math.sin(self.turn)
-        column, row = (np.floor(at + self.side / 2).astype(int) for at in (x * cos + y * sin, y * cos - x * sin))
-        pixels = np.pad(known, 1, constant_values=UNKNOWN)[
-            (row + 1).clip(0, self.side + 1), (column + 1).clip(0, self.side + 1)
-        ]
-        left, bottom, right, top = self._window(pixels, frame)
-        pixels = pixels[bottom:top, left:right]
-        corner = [(at - frame + self.fraction) * PIXEL for at in (left, bottom)]
-        size = PIXEL
+        walls = ndimage.binary_dilation(self.known == OCCUPIED, np.ones((2 * self.inflation + 1,) * 2))
+        known = np.pad(np.where(walls, OCCUPIED, self.known), 1, constant_values=UNKNOWN)
+        up, right = np.indices((self.side + 2 * FRAME,) * 2) - FRAME + 0.5 - self.side / 2
+        at = MapFrame(0.0, 0.0, self.turn).to_grid(right - self.jump[0], up - self.jump[1])
+        column, row = (np.floor(pixels + self.side / 2).astype(int).clip(-1, self.side) + 1 for pixels in at)
+        left, bottom, right, top = self._window(pixels := known[row, column])
+        pixels, size = pixels[bottom:top, left:right], PIXEL / 2
         if self.scale == 2:
-            (rows, columns), size = pixels.shape, 2 * PIXEL
-            four = pixels.reshape(rows // 2, 2, columns // 2, 2).swapaxes(1, 2).reshape(rows // 2, columns // 2, 4)
-            pixels = np.where((four == OCCUPIED).any(-1), OCCUPIED, np.where((four == FREE).all(-1), FREE, UNKNOWN))
+            parts, size = pixels.reshape((top - bottom) // 2, 2, (right - left) // 2, 2), 2 * PIXEL
+            is_free, is_occupied = (parts == FREE).all((1, 3)), (parts == OCCUPIED).any((1, 3))
+            pixels = np.select([is_occupied, is_free], [OCCUPIED, FREE], UNKNOWN)
         elif self.scale == 0.5:
-            pixels, size = pixels.repeat(2, 0).repeat(2, 1), PIXEL / 2
-        origin = MapFrame(0.0, 0.0, self.grid_yaw).to_map(*corner)
-        return MetricMap(pixels.astype(np.int8), size, MapFrame(*origin, self.grid_yaw))
+            pixels = pixels.repeat(2, 0).repeat(2, 1)
+        else:
+            size = PIXEL
+        corner = ((pixels - FRAME + self.fraction) * PIXEL for pixels in (left, bottom))
+        return MetricMap(pixels.astype(np.int8), size, MapFrame(*self._frame.to_map(*corner), self.grid_yaw))
 
-    def _window(self, pixels: np.ndarray, frame: int) -> tuple[int, int, int, int]:
+    def _window(self, pixels: np.ndarray) -> tuple[int, int, int, int]:
         """Left, bottom, right and top of the known part, the robot and a margin."""
-        x, y = MapFrame(0.0, 0.0, self.grid_yaw).to_grid(*self.pose()[:2])
-        rows, columns = np.nonzero(pixels != UNKNOWN)
         ends = []
-        for known, at in ((columns, x), (rows, y)):
-            known = [*known.tolist(), math.floor(at / PIXEL - self.fraction) + frame]
+        for known, at in zip(np.nonzero(pixels != UNKNOWN)[::-1], self._frame.to_grid(*self.pose()[:2]), strict=True):
+            known = [*known.tolist(), math.floor(at / PIXEL - self.fraction) + FRAME]
             low, high = min(known) - self.rng.integers(0, 4), max(known) + self.rng.integers(1, 5)
             ends.append((max(low, 0), min(high, len(pixels))))
         (left, right), (bottom, top) = ends
@@ -181,16 +169,13 @@ class Story:
 
     # --- misbehavior --------------------------------------------------------------------------------------------------
 
-    def misbehave(self) -> str:
-        """Let something happen, and tell what."""
-        kinds: list[Callable[[], None]] = [
+    def misbehave(self) -> None:
+        """Let something happen."""
+        kinds = (
             self._close_loop, self._turn_grid, self._change_resolution, self._inflate, self._shut, self._open,
-            self._get_stuck, self._get_lost, self._forget, self._find_door, self._lose_door, self._blink,
-            self._shift,
-        ]  # fmt: skip
-        kind = kinds[self.rng.integers(len(kinds))]
-        kind()
-        return kind.__name__.strip("_")
+            self._get_stuck, self._get_lost, self._forget, self._find_door, self._lose_door, self._blink, self._shift,
+        )  # fmt: skip
+        kinds[self.rng.integers(len(kinds))]()
 
     def _close_loop(self) -> None:
         self.turn += self.rng.uniform(-0.1, 0.1)
@@ -208,9 +193,14 @@ class Story:
     def _inflate(self) -> None:
         self.inflation = int(self.rng.integers(0, 4))
 
+    def _around(self, pixels: int) -> tuple[slice, slice]:
+        """Rows and columns around the robot."""
+        y, x = (slice(max(int(at) - pixels, 0), int(at) + pixels + 1) for at in (self.y, self.x))
+        return y, x
+
     def _shut(self) -> None:
         passage = self._blob(1, 8) & self.free
-        passage[max(int(self.y) - 1, 0) : int(self.y) + 2, max(int(self.x) - 1, 0) : int(self.x) + 2] = False
+        passage[self._around(1)] = False
         self.free &= ~passage
         self.shut.append(passage)
 
@@ -228,12 +218,11 @@ class Story:
         part = self._blob(1, 12)
         part |= self.rng.random() < 0.1
         if self.rng.random() < 0.5:
-            part[max(int(self.y) - 2, 0) : int(self.y) + 3, max(int(self.x) - 2, 0) : int(self.x) + 3] = True
+            part[self._around(2)] = True
         self.known[part] = UNKNOWN
 
     def _find_door(self) -> None:
-        place = self.rng.uniform(-3, self.side + 3, 2)
-        self.doors.append((float(place[0]), float(place[1])))
+        self.doors.append(tuple(self.rng.uniform(-3, self.side + 3, 2).tolist()))
 
     def _lose_door(self) -> None:
         self.doors = self.doors[1:]
@@ -315,18 +304,6 @@ def worlds_of(files: list[Path]) -> list[np.ndarray]:
     return maps
 
 
-def windows(maps: list[np.ndarray], rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Parts of maps, bool [h w], surrounded by walls, with ground in them."""
-    while True:
-        free = maps[rng.integers(len(maps))]
-        side = rng.choice(SIDES)
-        y, x = (rng.integers(all_of_it - side + 1) for all_of_it in free.shape)
-        part = free[y : y + side, x : x + side]
-        part = np.rot90(part, rng.integers(4))
-        if part.mean() > 0.1:
-            yield np.pad(part[1:-1, 1:-1], 1)
-
-
 def planner_for(story: Story) -> MetricPlanner:
     """A planner whose programs fit all stories."""
     return MetricPlanner(
@@ -335,6 +312,10 @@ def planner_for(story: Story) -> MetricPlanner:
 
 
 def story(number: int, maps: list[np.ndarray]) -> Story:
-    """The story of this number."""
-    rng = np.random.default_rng(number)
-    return Story(next(windows(maps, rng)), rng, (90.0, 360.0)[number % 2])
+    """The story of this number, in a part of one of the maps with walls around it."""
+    rng, part = np.random.default_rng(number), np.zeros((1, 1), bool)
+    while part.mean() <= 0.1:
+        free, side = maps[rng.integers(len(maps))], rng.choice(SIDES)
+        y, x = (rng.integers(pixels - side + 1) for pixels in free.shape)
+        part = np.rot90(free[y : y + side, x : x + side], rng.integers(4))
+    return Story(np.pad(part[1:-1, 1:-1], 1), rng, (90.0, 360.0)[number % 2])

@@ -201,13 +201,16 @@ def draw(
 def beside_ground(
     cells: Iterable[tuple[int, ...]], terrain: UInt8[np.ndarray, "h w"], left: int, top: int
 ) -> set[tuple[int, int, int]]:
-    """Those of some cells that are unknown and beside ground: columns, rows, and a bit for each neighbor that is ground.
+    """Those of some cells that are unknown and beside ground, and which neighbors are ground.
 
     Args:
-      cells: columns and rows, and whatever else.
+      cells: column, row, and whatever else of each.
       terrain: a map; what is beyond it is unknown.
       left: column of its first cell.
       top: row of its first cell.
+
+    Returns:
+      Column, row, and a bit for each neighbor.
     """
     rows, columns = _on_map(cells, np.pad(terrain, 1), left - 1, top - 1)
     ground = np.pad(TRAVERSABLE[terrain], 2)
