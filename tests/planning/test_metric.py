@@ -13,41 +13,14 @@ from dc2g_jax._src.planning.metric import MetricPlanner
 from dc2g_jax._src.planning.metric_map import MetricMap, MetricPose
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
+from tests.support.metric_maps import FRAME, FREE, OCCUPIED, PIXEL, REACH, TURNS, UNKNOWN, grid_of, place, planner_of
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
-
-FREE, OCCUPIED, UNKNOWN = 0, 100, -1
-
-#: Meters of a pixel as in a message, which has 32 bits for them, and the sensing range in cells.
-PIXEL, REACH = float(np.float32(0.05)), 3
-
-#: Quarter turns counterclockwise, as (dx, dy) with y upward.
-TURNS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-
-FRAME = MapFrame(-3.2, 7.0, 0.7)
 
 
 @functools.cache
 def without_occlusion() -> Frontier:
     return Frontier(complete_rules(REACH))
-
-
-def planner_of(pixels: int = 1, planner=None, **options) -> MetricPlanner:
-    """One whose cells have so many pixels along a side."""
-    size = pixels * 0.05
-    return MetricPlanner(planner, cell_size=size, sensing_range=REACH * size, largest=(16, 16), **options)
-
-
-def grid_of(cells: np.ndarray, frame: MapFrame = FRAME) -> MetricMap:
-    return MetricMap(np.asarray(cells, np.int8), PIXEL, frame)
-
-
-def place(column: float, row: float, turns: int = 0, frame: MapFrame = FRAME) -> MetricPose:
-    """The middle of a pixel in the map frame; the row counts from below."""
-    right, up = (column + 0.5) * PIXEL, (row + 0.5) * PIXEL
-    x = frame.x + right * math.cos(frame.yaw) - up * math.sin(frame.yaw)
-    y = frame.y + right * math.sin(frame.yaw) + up * math.cos(frame.yaw)
-    return MetricPose(x, y, frame.yaw + turns * math.pi / 2)
 
 
 def random_moment(seed: int, shape=(9, 13), free: float = 0.6):
@@ -267,66 +240,6 @@ def test_cells_are_halved_down_to_the_smallest(smallest, pixels):
     decision = planner.plan(grid_of(sealed), place(6, 6))
     assert (decision.mode, decision.subgoal) == ("gave_up", None)
     assert decision.cell_size == pytest.approx(pixels * PIXEL)
-
-
-# --- a robot under way ------------------------------------------------------------------------------------------------
-
-
-def drive(planner: MetricPlanner, world: np.ndarray, robot, hidden=(), doors=()):
-    """Decisions on the way; the robot goes to each subgoal and sees the pixels of its field of view but the hidden."""
-    seen, decisions = np.zeros(world.shape, bool), []
-    known_doors = [place(*door)[:2] for door in doors]
-    for _ in range(200):
-        column, row, turns = robot
-        for y, x in np.ndindex(world.shape):
-            dx, dy, (ahead_x, ahead_y) = x - column, y - row, TURNS[turns]
-            ahead, aside = dx * ahead_x + dy * ahead_y, dx * ahead_y - dy * ahead_x
-            seen[y, x] |= (abs(aside) < ahead and math.hypot(dx, dy) <= 3 * REACH) or max(abs(dx), abs(dy)) <= 1
-        for x, y in hidden:
-            seen[y, x] = False
-        decision = planner.plan(grid_of(np.where(seen, world, UNKNOWN)), place(*robot), doors=known_doors)
-        decisions.append(decision)
-        if decision.mode == "gave_up" or len(decision.path) == 1:
-            return decisions, seen
-        right, up = FRAME.to_grid(*decision.subgoal[:2])
-        turns = round((decision.subgoal.yaw - FRAME.yaw) / (math.pi / 2)) % 4
-        robot = math.floor(right / PIXEL), math.floor(up / PIXEL), turns
-    raise AssertionError("the robot never ends")
-
-
-@pytest.mark.parametrize("pixels", [1, 2])
-def test_exploration_sees_everything_and_ends_whatever_the_sensor_misses(pixels):
-    world = np.pad(np.full((12, 16), FREE), 1, constant_values=OCCUPIED)
-    world[6, :9] = OCCUPIED
-    hidden = [(12, 5), (12, 6), (5, 6)]  # a hole in the ground, and one in the wall
-    decisions, seen = drive(planner_of(pixels), world, (3, 2, 0), hidden)
-    assert decisions[-1].mode == "gave_up"
-    assert (~seen).sum() <= len(hidden) + 4, "all but the hidden and the corners"
-    assert "still unknown after the robot looked at them" in decisions[-1].why
-
-
-def test_what_was_set_aside_counts_again_when_it_is_known():
-    cells = np.full((1, 8), FREE)
-    cells[0, 7] = UNKNOWN
-    world = np.pad(cells, 1, constant_values=OCCUPIED)
-    planner = planner_of()
-    decision = planner.plan(grid_of(world), place(1, 1, 0))
-    assert decision.mode == "explore"
-    planner.set_aside(decision.subgoal)
-    assert planner.plan(grid_of(world), place(1, 1, 0)).mode == "gave_up"
-    world[1, 8], world[1, 9] = FREE, UNKNOWN
-    assert planner.plan(grid_of(world), place(1, 1, 0)).mode == "explore"
-
-
-def test_nothing_is_set_aside_from_beyond_the_map():
-    world = np.pad(np.full((1, 8), FREE), 1, constant_values=OCCUPIED)
-    world[1, 8] = UNKNOWN
-    planner = planner_of()
-    before = planner.plan(grid_of(world), place(1, 1, 0))
-    for column, row in ((30, 1), (-30, 1), (1, 30), (1, -30)):
-        planner.set_aside(place(column, row))
-    assert before.mode == "explore"
-    assert planner.plan(grid_of(world), place(1, 1, 0)) == before
 
 
 # --- doors and classes ------------------------------------------------------------------------------------------------

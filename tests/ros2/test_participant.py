@@ -33,7 +33,7 @@ from dc2g_planner.planner_process import MapPose, PlannerHere, Refused
 
 import dc2g_jax
 from tests.support import dds, ros
-from tests.support.metric_maps import CORRIDOR, REACH, YAW, M, in_map, map_message, transform_of
+from tests.support.ros_maps import CORRIDOR, REACH, YAW, M, in_map, map_message, transform_of
 from tests.support.places import ROOT
 from tests.support.refusals import refusal_of
 

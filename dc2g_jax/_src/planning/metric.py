@@ -18,16 +18,21 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel
-from dc2g_jax._src.grid.terrain import UNKNOWN
+from dc2g_jax._src.grid.terrain import NOTHING, UNKNOWN
 from dc2g_jax._src.planning.decisions import explain
-from dc2g_jax._src.planning.metric_map import DrawnMap, MetricMap, MetricPose, class_of_values, draw, in_map_frame
+from dc2g_jax._src.planning.metric_map import (
+    DrawnMap,
+    MetricMap,
+    MetricPose,
+    beside_ground,
+    class_of_values,
+    draw,
+    in_map_frame,
+)
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Planner
 from dc2g_jax._src.runtime.errors import InputError, check_number
 from dc2g_jax._src.runtime.programs import jit
-
-#: A robot within this distance of its subgoal, in meters, or within a cell, has reached it. Nav2 stops within 0.25 m.
-_ARRIVAL = 0.3
 
 
 class MetricCandidate(NamedTuple):
@@ -89,11 +94,16 @@ class MetricPlanner:
     beyond the map's edges.
 
     If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to
-    `smallest_cell`, in whole pixels. So it gives up only if no unknown cell can be seen from ground that free cells of
-    that size connect to the robot. Cells that were set aside do not count: if the robot has reached its subgoal and a
-    cell in view is still unknown at the next call, that cell is set aside until it becomes known.
+    `smallest_cell`, in whole pixels. So it gives up only if no unknown cell lies beside ground that free cells of that
+    size connect to the robot, but for cells that only the robot's own pose has in view, and cells that were set aside.
 
-    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst.
+    The robot has reached its subgoal if it faces the same way and is within half of `cell_size`, or a cell. Cells in
+    view from there that are unknown now and at the next call are set aside, for as long as the same free cells lie
+    beside them. So exploration ends, also if the map changes back and forth. On a map of another resolution or
+    rotation, all cells count again.
+
+    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst. Only
+    where the map has no ground under the robot, it turns where it stands.
 
     Args:
       planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from
@@ -149,10 +159,10 @@ class MetricPlanner:
         reach = self._reach(cell_size)
         self._online: dict[int, OnlinePlanner] = {reach: self._make(sensing_range=reach, largest=largest)}
         self._fixed_reach = reach if hasattr(planner, "rules") else None
-        self._aside: dict[int, set[tuple[int, int]]] = collections.defaultdict(set)
+        self._aside: dict[int, set[tuple[int, int, int]]] = collections.defaultdict(set)
         self._drawn: DrawnMap | None = None
         self._target: MetricPose | None = None
-        self._reached: MetricPose | None = None
+        self._looked_at: tuple[int, list[tuple[int, int]]] | None = None
 
     def plan(self, grid: MetricMap, pose: npt.ArrayLike, *, doors: Iterable[Sequence[float]] = ()) -> MetricDecision:
         """Decide the next subgoal (Algorithm 2).
@@ -169,7 +179,7 @@ class MetricPlanner:
         """
         here = MetricPose(*in_map_frame("pose", pose, 3))
         found = tuple(in_map_frame("door", door, 2) for door in doors)
-        self._look_around(here, grid)
+        self._look_around(here, grid, found)
         factor = max(1, math.ceil(self._cell_size / grid.resolution - 1e-4))
         decision = self._decided(grid, factor, here, found)
         smallest = max(1, math.ceil(self._smallest_cell / grid.resolution - 1e-4))
@@ -185,20 +195,27 @@ class MetricPlanner:
         Args:
           pose: the subgoal of the last decision.
         """
-        if self._drawn is None:
-            return
-        terrain, left, top, cells, factor = self._drawn
+        if self._drawn is not None:
+            self._put_aside(self._unknown_in_view(pose, self._drawn), self._drawn)
+
+    def _put_aside(self, cells: Iterable[tuple[int, int]], drawn: DrawnMap) -> None:
+        """Set aside those of the cells that are unknown on a map. (No others than those beside ground ever count.)"""
+        self._aside[drawn.factor] |= beside_ground(cells, drawn.terrain, drawn.left, drawn.top)
+
+    def _unknown_in_view(self, pose: MetricPose, drawn: DrawnMap) -> list[tuple[int, int]]:
+        """Columns and rows of the unknown cells in view from a pose on a map, also of those set aside."""
+        terrain, left, top, cells, *_ = drawn
         reach = self._reach(cells.size)
         sensing = self._online[reach].rules.sensing
         x, y, heading = cells.pose_in(pose)
         if not (0 <= x - left < terrain.shape[1] and 0 <= y - top < terrain.shape[0]):
-            return
+            return []
         around = np.pad(terrain, reach)[y - top :, x - left :][: 2 * reach + 1, : 2 * reach + 1]
         seen = jax.device_get(_in_view(around, np.int32(heading), sensing=sensing))
-        rows, columns = np.nonzero(seen & (around == UNKNOWN))
-        self._aside[factor] |= set(zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), strict=True))
+        rows, columns = np.nonzero(seen & np.isin(around, (UNKNOWN, NOTHING)))
+        return list(zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), strict=True))
 
-    def _look_around(self, here: MetricPose, grid: MetricMap) -> None:
+    def _look_around(self, here: MetricPose, grid: MetricMap, doors: Iterable[Sequence[float]]) -> None:
         """Set aside cells that stayed unknown when looked at. Forget them all if the map's cells have changed."""
         if self._drawn is None:
             return
@@ -208,15 +225,16 @@ class MetricPlanner:
             and math.isclose(cells.size, factor * grid.resolution, rel_tol=1e-6)
         ):
             self._aside.clear()
-            self._drawn = self._target = self._reached = None
+            self._drawn = self._target = self._looked_at = None
             return
-        if self._reached is not None:
-            self.set_aside(self._reached)
-        self._reached = None
+        if self._looked_at is not None:
+            pixels, unknown = self._looked_at
+            self._put_aside(unknown, self._draw(grid, pixels, here, doors))
+        self._looked_at = None
         if self._target is not None:
-            near = math.dist(here[:2], self._target[:2]) <= max(_ARRIVAL, cells.size)
+            near = math.dist(here[:2], self._target[:2]) <= max(self._cell_size / 2, cells.size)
             if near and cells.pose_in(here).heading == cells.pose_in(self._target).heading:
-                self._reached = self._target
+                self._looked_at = factor, self._unknown_in_view(self._target, self._draw(grid, factor, here, doors))
 
     def _reach(self, size: float) -> int:
         """Sensing range in cells of this side, in meters."""
@@ -238,26 +256,38 @@ class MetricPlanner:
             online = self._online[reach] = self._make(sensing_range=reach, largest=largest)
         return online
 
+    def _draw(self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]) -> DrawnMap:
+        """The map in cells of `factor` pixels along a side."""
+        aside, reach = self._aside[factor], self._reach(factor * grid.resolution)
+        return draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=reach)
+
     def _decided(
         self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]
     ) -> MetricDecision:
         """The decision in cells of `factor` pixels along a side."""
-        aside, reach = self._aside[factor], self._reach(factor * grid.resolution)
-        drawn = draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=reach)
-        terrain, left, top, cells, _ = drawn
-        online = self._online_for(reach, terrain.shape)
-        self._drawn = drawn
-        decision = online.plan(terrain, cells.pose_in(here), origin=(left, top))
-        path = [here, *(cells.center(*pose) for pose in decision.path[1:])] if decision.path else []
-        why = explain(decision.mode, decision.path, decision.candidates, cells.words)
-        if decision.mode == MODE_NAMES[GAVE_UP] and aside:
-            why += f"; {len(aside)} cells are still unknown after the robot looked at them"
+        self._drawn = drawn = self._draw(grid, factor, here, doors)
+        cells, own = drawn.cells, drawn.cells.pose_in(here)
+        online = self._online_for(self._reach(cells.size), drawn.terrain.shape)
+        decision = online.plan(drawn.terrain, own, origin=(drawn.left, drawn.top))
+
+        def placed(x: int, y: int, heading: int) -> MetricPose:
+            """The middle of a cell. Where the map has no ground under the robot, it turns where it stands."""
+            pose = cells.center(x, y, heading)
+            return pose if drawn.on_ground or (x, y) != own[:2] else pose._replace(x=here.x, y=here.y)
+
+        def words(x: int, y: int, heading: int) -> tuple[str, str]:
+            pose = placed(x, y, heading)
+            return f"({pose.x:z.2f}, {pose.y:z.2f}) m", f"{math.degrees(pose.yaw):z.0f} degrees"
+
+        why = explain(decision.mode, decision.path, decision.candidates, words)
+        if decision.mode == MODE_NAMES[GAVE_UP] and drawn.aside:
+            why += f"; {drawn.aside} cells are still unknown after the robot looked at them"
         return MetricDecision(
             mode=decision.mode,
-            subgoal=cells.center(*decision.subgoal) if decision.subgoal else None,
-            path=tuple(path),
+            subgoal=placed(*decision.subgoal) if decision.subgoal else None,
+            path=(here, *(placed(*pose) for pose in decision.path[1:])) if decision.path else (),
             candidates=tuple(
-                MetricCandidate(cells.center(*each[:3]), each.cost_to_go, each.distance, each.score)
+                MetricCandidate(placed(*each[:3]), each.cost_to_go, each.distance, each.score)
                 for each in decision.candidates
             ),
             why=why,

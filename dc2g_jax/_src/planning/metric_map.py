@@ -1,7 +1,7 @@
 """Robots' own maps, in meters in the map frame, and how the planner reads them."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from jaxtyping import UInt8
 
 from dc2g_jax._src.grid.map_frame import MapFrame
-from dc2g_jax._src.grid.poses import HEADINGS
+from dc2g_jax._src.grid.poses import FORWARD, HEADINGS
 from dc2g_jax._src.grid.sampling import sample_conservatively
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, FRONT_DOOR, NOTHING, OCCUPIED, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.planning.decisions import RobotPose
@@ -96,11 +96,6 @@ class Cells(NamedTuple):
         middle = self.frame.to_map((x + 0.5) * self.size, -(y + 0.5) * self.size)
         return MetricPose(*middle, math.remainder(self.frame.yaw - heading * _QUARTER, math.tau))
 
-    def words(self, x: int, y: int, heading: int) -> tuple[str, str]:
-        """Names of a place and a direction."""
-        pose = self.center(x, y, heading)
-        return f"({pose.x:z.2f}, {pose.y:z.2f}) m", f"{math.degrees(pose.yaw):z.0f} degrees"
-
 
 class DrawnMap(NamedTuple):
     """The known part of a map, as the planner reads it.
@@ -111,6 +106,8 @@ class DrawnMap(NamedTuple):
       top: row of its first cell.
       cells: where the cells lie.
       factor: pixels of the map along a side of a cell.
+      aside: number of unknown cells that are set aside.
+      on_ground: whether the robot's cell is traversable on the map.
     """
 
     terrain: UInt8[np.ndarray, "h w"]
@@ -118,6 +115,8 @@ class DrawnMap(NamedTuple):
     top: int
     cells: Cells
     factor: int
+    aside: int
+    on_ground: bool
 
 
 def class_of_values(labels: Mapping[int, str] | None) -> UInt8[np.ndarray, "value"]:
@@ -149,7 +148,7 @@ def draw(
     robot: MetricPose,
     *,
     doors: Iterable[Sequence[float]],
-    aside: Iterable[tuple[int, int]],
+    aside: Set[tuple[int, int, int]],
     margin: int,
 ) -> DrawnMap:
     """Resample a map to coarser cells, see `grid.sampling.sample_conservatively`.
@@ -162,7 +161,7 @@ def draw(
       classes: class index of each value, see `class_of_values`.
       robot: pose of the robot. Its cell is traversable whatever the map says.
       doors: x and y of doors in the map frame.
-      aside: columns and rows that become `nothing` if they are unknown.
+      aside: cells that become `nothing` as long as `beside_ground` says the same of them.
       margin: how far beyond the map's edges doors and cells set aside may lie, in cells.
 
     Raises:
@@ -186,15 +185,39 @@ def draw(
     pixels = np.pad(_terrain(grid, classes)[::-1], (above, beside))
     terrain = np.pad(sample_conservatively(pixels, beyond - left, below - top), margin)
     left, top = left - margin, top - margin
-    rows, columns = _indices(aside, terrain, left, top)
-    terrain[rows, columns] = np.where(terrain[rows, columns] == UNKNOWN, NOTHING, terrain[rows, columns])
-    if not TRAVERSABLE[terrain[here.y - top, here.x - left]]:
+    on_ground = bool(TRAVERSABLE[terrain[here.y - top, here.x - left]])
+    if not on_ground:
         terrain[here.y - top, here.x - left] = FREE
-    at_doors = (cells.pose_in(MetricPose(x, y, 0.0))[:2] for x, y in doors)
-    terrain[_indices(at_doors, terrain, left, top)] = FRONT_DOOR
+    at_doors = (cells.pose_in(MetricPose(x, y, 0.0)) for x, y in doors)
+    terrain[_on_map(at_doors, terrain, left, top)] = FRONT_DOOR
+    still_aside = aside & beside_ground(aside, terrain, left, top)
+    terrain[_on_map(still_aside, terrain, left, top)] = NOTHING
     rows, columns = (np.flatnonzero(np.any(terrain != UNKNOWN, axis=axis)) for axis in (1, 0))
     part = terrain[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return DrawnMap(part, int(left + columns[0]), int(top + rows[0]), cells, factor)
+    first = int(left + columns[0]), int(top + rows[0])
+    return DrawnMap(part, *first, cells, factor, len(still_aside), on_ground)
+
+
+def beside_ground(
+    cells: Iterable[tuple[int, ...]], terrain: UInt8[np.ndarray, "h w"], left: int, top: int
+) -> set[tuple[int, int, int]]:
+    """Those of some cells that are unknown and beside ground, and which neighbors are ground.
+
+    Args:
+      cells: column, row, and whatever else of each.
+      terrain: a map; what is beyond it is unknown.
+      left: column of its first cell.
+      top: row of its first cell.
+
+    Returns:
+      Column, row, and a bit for each neighbor.
+    """
+    rows, columns = _on_map(cells, np.pad(terrain, 1), left - 1, top - 1)
+    ground = np.pad(TRAVERSABLE[terrain], 2)
+    bits = sum(ground[1 + dy :, 1 + dx :][rows, columns].astype(int) << bit for bit, (dx, dy) in enumerate(FORWARD))
+    bits *= np.pad(terrain, 1)[rows, columns] == UNKNOWN
+    found = zip((columns + left - 1).tolist(), (rows + top - 1).tolist(), bits.tolist(), strict=True)
+    return {each for each in found if each[2]}
 
 
 def _terrain(grid: MetricMap, classes: UInt8[np.ndarray, "value"]) -> UInt8[np.ndarray, "h w"]:
@@ -215,11 +238,11 @@ def _covering(first: int, count: int, factor: int) -> tuple[int, int, tuple[int,
     return start, end, (first - start * factor, end * factor - first - count)
 
 
-def _indices(
-    cells: Iterable[tuple[int, int]], terrain: np.ndarray, left: int, top: int
+def _on_map(
+    cells: Iterable[tuple[int, ...]], terrain: np.ndarray, left: int, top: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Rows and columns of the cells that lie on a map whose first cell is at `left` and `top`."""
-    columns, rows = np.array([*cells], np.intp).reshape(-1, 2).T - np.array([[left], [top]])
+    columns, rows = np.array([each[:2] for each in cells], np.intp).reshape(-1, 2).T - np.array([[left], [top]])
     inside = (rows >= 0) & (rows < terrain.shape[0]) & (columns >= 0) & (columns < terrain.shape[1])
     return rows[inside], columns[inside]
 
