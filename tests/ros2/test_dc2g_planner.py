@@ -24,9 +24,9 @@ from rosbags.rosbag2 import Writer
 from dc2g_jax._src.planning.online import OnlinePlanner
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
-from tests.support.ros_maps import CORRIDOR, HOUSE, REACH, ROAD, YAW, M, in_map, map_message, transform_of
 from tests.support.places import ROOT
 from tests.support.refusals import refusal_of
+from tests.support.ros_maps import CORRIDOR, HOUSE, REACH, ROAD, YAW, M, in_map, map_message, transform_of
 
 
 class InProcess(planner_process.PlannerHere):

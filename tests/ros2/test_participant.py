@@ -33,9 +33,9 @@ from dc2g_planner.planner_process import MapPose, PlannerHere, Refused
 
 import dc2g_jax
 from tests.support import dds, ros
-from tests.support.ros_maps import CORRIDOR, REACH, YAW, M, in_map, map_message, transform_of
 from tests.support.places import ROOT
 from tests.support.refusals import refusal_of
+from tests.support.ros_maps import CORRIDOR, REACH, YAW, M, in_map, map_message, transform_of
 
 SIZES = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": [18, 18]}
 OPTIONS = ["--cell_size", "0.25", "--sensing_range", str(REACH * 0.25), "--largest", "18", "18", "--period", "0.001"]

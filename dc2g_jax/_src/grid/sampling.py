@@ -76,6 +76,10 @@ def sample_conservatively(classes: ClassImage, columns: int, rows: int) -> Class
 
 def _pixels_per_cell(pixels: npt.NDArray[np.bool_], columns: int, rows: int) -> npt.NDArray[np.int32]:
     """Number of these pixels that each cell of a grid over an image touches, int32 [rows columns]."""
+    height, width = pixels.shape
+    if height % rows == 0 and width % columns == 0:
+        tall = pixels.reshape(rows, height // rows, width).sum(axis=1, dtype=np.int32)
+        return tall.reshape(rows, columns, width // columns).sum(axis=2, dtype=np.int32)
     counts: np.ndarray = pixels
     for axis, cells in enumerate((rows, columns)):
         size, cell = pixels.shape[axis], np.arange(cells + 1)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -270,13 +270,18 @@ class MetricPlanner:
         online = self._online_for(self._reach(cells.size), drawn.terrain.shape)
         decision = online.plan(drawn.terrain, own, origin=(drawn.left, drawn.top))
 
-        def placed(x: int, y: int, heading: int) -> MetricPose:
-            """The middle of a cell. Where the map has no ground under the robot, it turns where it stands."""
-            pose = cells.center(x, y, heading)
-            return pose if drawn.on_ground or (x, y) != own[:2] else pose._replace(x=here.x, y=here.y)
+        def placed(poses: Sequence[tuple[Any, ...]]) -> list[MetricPose]:
+            """The middles of cells. Where the map has no ground under the robot, it turns where it stands."""
+            middles = cells.centers(poses)
+            if drawn.on_ground:
+                return middles
+            return [
+                middle._replace(x=here.x, y=here.y) if pose[:2] == own[:2] else middle
+                for pose, middle in zip(poses, middles, strict=True)
+            ]
 
-        def words(x: int, y: int, heading: int) -> tuple[str, str]:
-            pose = placed(x, y, heading)
+        def words(*cell: int) -> tuple[str, str]:
+            (pose,) = placed([cell])
             return f"({pose.x:z.2f}, {pose.y:z.2f}) m", f"{math.degrees(pose.yaw):z.0f} degrees"
 
         why = explain(decision.mode, decision.path, decision.candidates, words)
@@ -284,11 +289,11 @@ class MetricPlanner:
             why += f"; {drawn.aside} cells are still unknown after the robot looked at them"
         return MetricDecision(
             mode=decision.mode,
-            subgoal=placed(*decision.subgoal) if decision.subgoal else None,
-            path=(here, *(placed(*pose) for pose in decision.path[1:])) if decision.path else (),
+            subgoal=placed([decision.subgoal])[0] if decision.subgoal else None,
+            path=(here, *placed(decision.path[1:])) if decision.path else (),
             candidates=tuple(
-                MetricCandidate(placed(*each[:3]), each.cost_to_go, each.distance, each.score)
-                for each in decision.candidates
+                MetricCandidate(pose, each.cost_to_go, each.distance, each.score)
+                for pose, each in zip(placed(decision.candidates), decision.candidates, strict=True)
             ),
             why=why,
             cell_size=cells.size,

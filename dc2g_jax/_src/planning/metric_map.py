@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -91,10 +91,13 @@ class Cells(NamedTuple):
         turns = round((self.frame.yaw - pose.yaw) / _QUARTER)
         return RobotPose(math.floor(right / self.size), -1 - math.floor(up / self.size), turns % HEADINGS)
 
-    def center(self, x: int, y: int, heading: int) -> MetricPose:
-        """The middle of a cell."""
-        middle = self.frame.to_map((x + 0.5) * self.size, -(y + 0.5) * self.size)
-        return MetricPose(*middle, math.remainder(self.frame.yaw - heading * _QUARTER, math.tau))
+    def centers(self, poses: Iterable[tuple[Any, ...]]) -> list[MetricPose]:
+        """The middles of the cells of some poses: column, row, heading, and whatever else of each."""
+        x, y, heading = np.array([pose[:3] for pose in poses], np.intp).reshape(-1, 3).T
+        yaws = [math.remainder(self.frame.yaw - turns * _QUARTER, math.tau) for turns in range(HEADINGS)]
+        middles: Any = (x + 0.5) * self.size, -(y + 0.5) * self.size
+        columns: Any = (*self.frame.to_map(*middles), np.array(yaws)[heading])
+        return list(map(MetricPose, *(values.tolist() for values in columns)))
 
 
 class DrawnMap(NamedTuple):
