@@ -171,7 +171,7 @@ class FrontDoor:
     def step(
         self, key: PRNGKeyArray, state: State, action: int | Int[Array, ""], params: Params | None = None
     ) -> tuple[Observation, State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """Take one action, and with `autoreset` begin a new episode if it ends the current one.
+        """Take one action. With `autoreset`, begin a new episode if it ends the current one.
 
         Args:
           key: random key of the new episode.

@@ -67,7 +67,7 @@ def unpack(board: Board, width: int) -> Bool[Array, "h w *batch"]:
 
 @functools.partial(_traced_once, static_argnames="width")
 def numbers(planes: UInt32[Array, "bit n_words h *batch"], width: int) -> Int[Array, "h w *batch"]:
-    """The number of every cell of a grid of `width` columns, whose bits are boards, the highest first."""
+    """The number of every cell of a grid of `width` columns, from a board for each bit, highest first."""
 
     def unpacked(planes: UInt32[Array, "bit n_words h *batch"]) -> Int[Array, "h w *batch"]:
         number = functools.reduce(lambda number, bits: 2 * number + bits, map(_bits, planes))

@@ -95,7 +95,7 @@ def unpack(poses: PoseSet, width: int) -> Bool[Array, "heading h w *batch"]:
 
 
 def numbers(planes: UInt32[Array, "bit heading n_words h *batch"], width: int) -> Int[Array, "heading h w *batch"]:
-    """The number of every pose, whose bits are pose sets, the highest first."""
+    """The number of every pose, from a pose set for each bit, highest first."""
     return jax.vmap(lambda planes: bitboard.numbers(planes, width), in_axes=1)(planes)
 
 

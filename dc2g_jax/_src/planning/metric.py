@@ -95,15 +95,15 @@ class MetricPlanner:
 
     If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to
     `smallest_cell`, in whole pixels. So it gives up only if no unknown cell lies beside ground that free cells of that
-    size connect to the robot, but for cells that only the robot's own pose has in view, and cells that were set aside.
+    size connect to the robot, except cells in view only from the robot's own pose, and cells that were set aside.
 
-    The robot has reached its subgoal if it faces the same way and is within half of `cell_size`, or a cell. Cells in
-    view from there that are unknown now and at the next call are set aside, for as long as the same free cells lie
-    beside them. So exploration ends, also if the map changes back and forth. On a map of another resolution or
-    rotation, all cells count again.
+    The robot has reached its subgoal if it faces the same way and is within one cell or half of `cell_size`, whichever
+    is larger. Cells in view from there that are unknown now and at the next call are set aside, for as long as the same
+    free cells lie beside them. So exploration ends, even if the map changes back and forth. On a map of another
+    resolution or rotation, all cells count again.
 
-    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst. Only
-    where the map has no ground under the robot, it turns where it stands.
+    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst. If the
+    map has no ground under the robot, it turns where it stands.
 
     Args:
       planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from
@@ -199,11 +199,11 @@ class MetricPlanner:
             self._put_aside(self._unknown_in_view(pose, self._drawn), self._drawn)
 
     def _put_aside(self, cells: Iterable[tuple[int, int]], drawn: DrawnMap) -> None:
-        """Set aside those of the cells that are unknown on a map. (No others than those beside ground ever count.)"""
+        """Set aside those of the cells that are unknown on a map. (Only cells beside ground ever count.)"""
         self._aside[drawn.factor] |= beside_ground(cells, drawn.terrain, drawn.left, drawn.top)
 
     def _unknown_in_view(self, pose: MetricPose, drawn: DrawnMap) -> list[tuple[int, int]]:
-        """Columns and rows of the unknown cells in view from a pose on a map, also of those set aside."""
+        """Columns and rows of the unknown cells in view from a pose on a map, including those set aside."""
         terrain, left, top, cells, *_ = drawn
         reach = self._reach(cells.size)
         sensing = self._online[reach].rules.sensing
@@ -271,7 +271,7 @@ class MetricPlanner:
         decision = online.plan(drawn.terrain, own, origin=(drawn.left, drawn.top))
 
         def placed(poses: Sequence[tuple[Any, ...]]) -> list[MetricPose]:
-            """The middles of cells. Where the map has no ground under the robot, it turns where it stands."""
+            """Poses at cell centers. If the map has no ground under the robot, it turns where it stands."""
             middles = cells.centers(poses)
             if drawn.on_ground:
                 return middles

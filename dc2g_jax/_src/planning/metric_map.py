@@ -92,7 +92,7 @@ class Cells(NamedTuple):
         return RobotPose(math.floor(right / self.size), -1 - math.floor(up / self.size), turns % HEADINGS)
 
     def centers(self, poses: Iterable[tuple[Any, ...]]) -> list[MetricPose]:
-        """The middles of the cells of some poses: column, row, heading, and whatever else of each."""
+        """Poses at the centers of cells, given column, row and heading of each; anything after these is ignored."""
         x, y, heading = np.array([pose[:3] for pose in poses], np.intp).reshape(-1, 3).T
         yaws = [math.remainder(self.frame.yaw - turns * _QUARTER, math.tau) for turns in range(HEADINGS)]
         middles: Any = (x + 0.5) * self.size, -(y + 0.5) * self.size
@@ -164,7 +164,7 @@ def draw(
       classes: class index of each value, see `class_of_values`.
       robot: pose of the robot. Its cell is traversable whatever the map says.
       doors: x and y of doors in the map frame.
-      aside: cells that become `nothing` as long as `beside_ground` says the same of them.
+      aside: results of `beside_ground`; cells for which it still returns the same become `nothing`.
       margin: how far beyond the map's edges doors and cells set aside may lie, in cells.
 
     Raises:
@@ -204,10 +204,10 @@ def draw(
 def beside_ground(
     cells: Iterable[tuple[int, ...]], terrain: UInt8[np.ndarray, "h w"], left: int, top: int
 ) -> set[tuple[int, int, int]]:
-    """Those of some cells that are unknown and beside ground, and which neighbors are ground.
+    """Those of the cells that are unknown and beside ground, and which of their neighbors are ground.
 
     Args:
-      cells: column, row, and whatever else of each.
+      cells: column and row of each; anything after these is ignored.
       terrain: a map; what is beyond it is unknown.
       left: column of its first cell.
       top: row of its first cell.

@@ -65,7 +65,7 @@ def view_of(belief: Belief, assessment: Assessment) -> View:
     return View(*traced)
 
 
-#: A robot waits for the program: it is compiled in two thirds of the time, and a network takes most of its time anyway.
+#: A robot waits for the compilation: this saves a third of its time. A network takes most of the run time anyway.
 _OPTIONS = {**ONE_OPERATION_OPTIONS, "xla_backend_optimization_level": 2}
 
 

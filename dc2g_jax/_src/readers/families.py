@@ -24,7 +24,7 @@ def family_of(house: str) -> str:
 
 
 def field_of_view_of(family: str) -> tuple[str, float | None]:
-    """What comes before the width of the field of view in `offices@360`, and the width in degrees, `None` without."""
+    """The maps and the field of view in degrees of a family such as `offices@360`; `None` if it names none."""
     maps, _, degrees = family.rpartition("@")
     return (maps, float(degrees)) if maps and degrees.isdecimal() else (family, None)
 
@@ -33,8 +33,8 @@ def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int
     """Maps of several families in one dataset, each named `family/house`.
 
     Args:
-      locations: `published` for the published houses, or what `open_dataset` takes; with a field of view in degrees,
-        `offices@360`. A family is called by its dataset's name; the published houses `published`.
+      locations: `published` for the published houses, or what `open_dataset` takes; a field of view in degrees may
+        follow, as in `offices@360`. A family is called by its dataset's name; the published houses `published`.
       split: `train`, `val` or `test`.
       most_maps: largest number of maps of a family. They are spread evenly over its split.
       most_cells: largest number of cells of a map. Of a family with maps of several sizes, those of the largest size

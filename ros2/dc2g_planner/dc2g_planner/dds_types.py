@@ -1,8 +1,8 @@
-"""ROS 2 messages as types of DDS, from their definitions.
+"""ROS 2 messages as DDS types, from their definitions.
 
 `nav_msgs/Path` is `nav_msgs::msg::dds_::Path_` on DDS. Types are compared by these names only, unless both sides send
-type information: there, newer versions of `rmw_cyclonedds` have the members' names as they are in ROS, without the `_`
-that ROS's generated IDL appends. Data contain no names.
+type information. In it, newer versions of `rmw_cyclonedds` name members as ROS does, without the `_` that ROS's
+generated IDL appends. Data contain no names.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ _DEFINITIONS = {
     "visualization_msgs/MarkerArray": "Marker[] markers",
 }
 
-#: The type of DDS and, as a function, the default of each primitive.
+#: The DDS type of each primitive, and a function that returns its default.
 _PRIMITIVES: dict[str, tuple[Any, Any]] = {
     "bool": (bool, bool),
     "float32": (idl.float32, float),

@@ -1,4 +1,4 @@
-"""What the node and the participant of DDS have in common: their parameters, and when to decide. It needs no ROS."""
+"""What the node and the DDS participant have in common: their parameters, and when to decide. It needs no ROS."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -53,7 +53,7 @@ class Decider:
     """Keeps the latest map and doors, and decides on them if anything is new.
 
     Attributes:
-      changing: lock of what several threads change. While the planner decides, none holds it.
+      changing: lock for what several threads change. No thread holds it while the planner decides.
       is_news: whether there is anything to decide on.
     """
 

@@ -12,7 +12,7 @@ _Matrix = npt.NDArray[np.float64]
 
 
 def _matrix_of(transform: Any) -> _Matrix:
-    """A `geometry_msgs/Transform` as a 4 x 4 matrix. A quaternion of zeros, which nobody has set, turns nothing."""
+    """A `geometry_msgs/Transform` as a 4 x 4 matrix. An unset quaternion, all zeros, is no rotation."""
     at, turn = transform.translation, transform.rotation
     length = math.hypot(turn.x, turn.y, turn.z, turn.w) or 1.0
     x, y, z, w = turn.x / length, turn.y / length, turn.z / length, turn.w / length
@@ -27,7 +27,7 @@ def _matrix_of(transform: Any) -> _Matrix:
 
 
 class Frames:
-    """Frames below the frames they are given in. The transform that came last counts, whatever its stamp."""
+    """The frames seen so far, each with its parent. The transform that came last counts, whatever its stamp."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, _Matrix]] = {}
@@ -52,11 +52,11 @@ class Frames:
         return MapPose(float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0]))
 
     def _above(self, frame: str) -> dict[str, _Matrix]:
-        """The frame and those above it, from below, with the transform from it to each."""
+        """The frame and its ancestors, nearest first, with the transform from the frame to each."""
         found = {frame: np.eye(4)}
         while frame in self._parents:
             parent, transform = self._parents[frame]
-            if parent in found:  # a circle
+            if parent in found:  # a cycle
                 break
             found[parent] = transform @ found[frame]
             frame = parent

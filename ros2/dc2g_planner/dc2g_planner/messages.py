@@ -119,7 +119,7 @@ class Outgoing:
         return self._types.PoseStamped(header=self._header, pose=self.pose(pose))
 
     def subgoal(self, decision: Decision) -> Any:
-        """A `geometry_msgs/PoseStamped` of the subgoal, which there must be."""
+        """A `geometry_msgs/PoseStamped` of the subgoal, which must exist."""
         assert decision.subgoal is not None
         return self.stamped(decision.subgoal)
 

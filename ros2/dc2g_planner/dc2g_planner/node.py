@@ -65,7 +65,7 @@ class PlannerNode(LifecycleNode):
         self._is_active = self._is_paused = False
         self._start: tuple[str, MapPose] | None = None
         self._handle: Any = None
-        self._changing = self._decider.changing  # what is above is changed by several threads
+        self._changing = self._decider.changing  # guards what is above, which several threads change
         self._tf = Buffer()
         self._listener = TransformListener(self._tf, self)
         self._nav2 = ActionClient(self, NavigateToPose, "navigate_to_pose") if given["drive"] else None

@@ -1,4 +1,4 @@
-"""The planner as a participant of DDS, which carries the messages of ROS 2. It needs no ROS, but `cyclonedds`."""
+"""The planner as a DDS participant that exchanges ROS 2 messages. It needs `cyclonedds`, but no ROS."""
 
 import argparse
 import os
@@ -25,17 +25,17 @@ from .frames import Frames
 from .messages import OUTPUTS, Outgoing, is_same, place_to_drive_to
 from .planner_process import AnyPlanner, MapPose, PlannerHere, Refused
 
-#: Largest number of a domain, whose ports are those of UDP.
+#: Largest domain number whose UDP ports exist.
 _LAST_DOMAIN = 232
 
 #: Compare types by name only: Cyclone DDS cannot read the type information of Fast DDS (vendor 1.15), and that of nodes
-#: on Cyclone DDS (1.16) may have other names of members.
+#: on Cyclone DDS (1.16) may name members differently.
 _SETTINGS = (
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
     "</Domain></CycloneDDS>"
 )
 
-#: Seconds after which the thread that reads sees that it shall end.
+#: Seconds between the reading thread's checks whether to end.
 _LOOK_UP = 0.2
 
 
@@ -58,8 +58,8 @@ def quality_of_service(*, latched: bool, depth: int = 1) -> Qos:
 class Participant:
     """Reads maps, doors and transforms from DDS, and publishes what the planner decides.
 
-    The outputs are those of the node, with the stamp of the map that was decided on. What peers do does not end it: a
-    message that cannot be read is one line in the log, and so is what prevents a decision, once.
+    The outputs are those of the node, with the stamp of the map that was decided on. Nothing that peers send
+    ends it: it logs each message that it cannot read, and once each problem that prevents a decision.
 
     Args:
       domain: number of the DDS domain, `ROS_DOMAIN_ID`.
@@ -85,7 +85,7 @@ class Participant:
         self._out = {name: self._writer(f"dc2g_planner/{name}", kind, latched) for name, kind in OUTPUTS.items()}
         if given["drive"]:
             self._to_nav2 = self._writer("goal_pose", "PoseStamped", quality_of_service(latched=False))
-        # As tf2 does, keep many transforms: each sender tells others.
+        # As tf2 does, keep many transforms: each sender publishes different ones.
         self._read = [
             (self._reader(given["map"], "OccupancyGrid", latched), self._decider.see_map),
             (self._reader("doors", "PoseArray", quality_of_service(latched=False)), self._decider.see_doors),
@@ -107,7 +107,7 @@ class Participant:
             reading.join()
 
     def _topic(self, name: str, kind: str) -> Topic:
-        """The topic of DDS for a name in ROS, which is in the namespace unless it begins with `/`."""
+        """The DDS topic for a ROS name, which is in the namespace unless it begins with `/`."""
         path = name if name.startswith("/") else f"{self._given['namespace']}/{name}"
         return Topic(self._dds, f"rt/{path.lstrip('/')}", getattr(TYPES, kind))
 
@@ -133,7 +133,7 @@ class Participant:
     def _taken(self, reader: DataReader) -> list[Any]:
         """The messages that arrived on a topic."""
         try:
-            # Others are notices that a sender has gone.
+            # Samples without valid data are notices that a sender has gone.
             return [message for message in reader.take(N=100) if message.sample_info.valid_data]
         except (DDSException, UnicodeDecodeError) as error:
             self._log(f"warning: a message on {reader.topic.name} cannot be read: {error}")
@@ -201,7 +201,7 @@ def _domain() -> int:
     """The domain that ROS uses.
 
     Raises:
-      Refused: `ROS_DOMAIN_ID` is no domain.
+      Refused: `ROS_DOMAIN_ID` is not a domain number.
     """
     given = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (given.isdecimal() and int(given) <= _LAST_DOMAIN):

@@ -1,4 +1,4 @@
-"""The planner, in this process or in one of its own, with another Python than ROS has, that delays nothing in the node.
+"""The planner, in this process or in one of its own, which may use another Python and does not delay the node.
 
 The node, with the Python of ROS, starts this file with a Python that has `dc2g_jax`. What they send each other is
 pickled, and consists of numbers, text, bytes and tuples only.

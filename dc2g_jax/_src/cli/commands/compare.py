@@ -40,7 +40,7 @@ class Options(NetworksOptions, OutOptions, ResumeOptions):
       family: families of maps: `published` for the published houses, a folder of maps or of OpenStreetMap extracts,
         package.module:name for a `HouseDataset` of your own or a function that returns one, or a word; by default
         `published` and all words: `procedural`, `towns`, `mazes`, `halls`, `offices`, `floor_plans`. With @ and a width
-        in degrees, its robots have that field of view: `offices@360`, by default too.
+        in degrees, its robots have that field of view, as in `offices@360`, which is a default, too.
       split: split of the maps. Choose and tune on `val`.
       maps: largest number of maps of a family.
       starts: least number of sampled starts in a family; each of its maps gets the same number.
@@ -109,7 +109,7 @@ def main(options: Options) -> None:
     command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", command_written())
     degrees = common.field_of_view
     if any(field_of_view_of(family)[1] for family in settings):
-        wide = f" over {degrees:g} degrees or those after an @"
+        wide = f" over {degrees:g} degrees (after @: another width)"
     else:
         wide = "" if degrees == PAPER_DEGREES else f" over {degrees:g} degrees"
     sees = f"{common.sensing_range}-cell sensing{wide}"
