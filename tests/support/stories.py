@@ -304,11 +304,14 @@ def worlds_of(files: list[Path]) -> list[np.ndarray]:
     return maps
 
 
-def planner_for(story: Story) -> MetricPlanner:
-    """A planner whose programs fit all stories."""
-    return MetricPlanner(
-        cell_size=CELL, smallest_cell=SMALLEST, sensing_range=RANGE, field_of_view=story.degrees, largest=(56, 56)
+def planner_for(degrees: float) -> MetricPlanner:
+    """A planner for the stories of robots with this field of view, with all its programs."""
+    planner = MetricPlanner(
+        cell_size=CELL, smallest_cell=SMALLEST, sensing_range=RANGE, field_of_view=degrees, largest=(56, 56)
     )
+    closed = np.pad(np.full((2, 2), FREE), 2, constant_values=OCCUPIED)
+    planner.plan(MetricMap(closed, PIXEL, MapFrame(0.0, 0.0, 0.0)), (3 * PIXEL, 3 * PIXEL, 0.0))
+    return planner
 
 
 def story(number: int, maps: list[np.ndarray]) -> Story:
