@@ -56,7 +56,7 @@ _PRIMITIVES: dict[str, tuple[Any, Any]] = {
 
 
 def _messages() -> dict[str, type[IdlStruct]]:
-    """A class for each definition, whose members have defaults, as in rclpy."""
+    """A class for each definition."""
     made: dict[str, type[IdlStruct]] = {}
     for full_name, definition in _DEFINITIONS.items():
         package, _, name = full_name.partition("/")

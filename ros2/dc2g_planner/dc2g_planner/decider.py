@@ -27,8 +27,10 @@ def planner_options(given: Mapping[str, Any]) -> dict[str, Any]:
     """The arguments of `dc2g_jax.MetricPlanner`, from parameters.
 
     Raises:
-      Refused: the labels have another form.
+      Refused: the labels have another form, or the period is not positive.
     """
+    if not given["period"] > 0:
+        raise Refused(f"period: is {given['period']}; give seconds above 0")
     return {
         "planner": given["planner"] or None,
         "cell_size": given["cell_size"],
@@ -70,9 +72,11 @@ class Decider:
             self._map, self.is_news = message, True
 
     def see_doors(self, message: Any) -> None:
-        """Take in a `geometry_msgs/PoseArray` of doors, in place of the last one."""
+        """Take in a `geometry_msgs/PoseArray` of doors, in place of the last one. The same doors again are no news."""
         with self.changing:
-            self._doors, self.is_news = message, True
+            before, self._doors = self._doors, message
+            same_frame = before is not None and before.header.frame_id == message.header.frame_id
+            self.is_news |= not (same_frame and before.poses == message.poses)
 
     def set_aside(self, place: MapPose) -> None:
         """Set aside, before the next decision, what would be seen from a subgoal."""

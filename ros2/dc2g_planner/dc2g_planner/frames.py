@@ -35,7 +35,8 @@ class Frames:
     def see(self, message: Any) -> None:
         """Take in a `tf2_msgs/TFMessage`."""
         for each in message.transforms:
-            self._parents[each.child_frame_id] = (each.header.frame_id, _matrix_of(each.transform))
+            frame, child = (name.lstrip("/") for name in (each.header.frame_id, each.child_frame_id))  # as tf2 does
+            self._parents[child] = (frame, _matrix_of(each.transform))
 
     def pose(self, of: str, frame: str) -> MapPose:
         """The pose of a frame in another.
@@ -44,11 +45,14 @@ class Frames:
           Refused: they are not connected.
         """
         with np.errstate(invalid="ignore"):  # the planner refuses what is not finite
-            ours, theirs = self._above(of), self._above(frame)
+            ours, theirs = self._above(of), self._above(frame.lstrip("/"))
             common = next((name for name in ours if name in theirs), None)
             if common is None:
                 raise Refused(f"{of} is not connected to {frame}; publish transforms between them on tf")
-            pose = np.linalg.inv(theirs[common]) @ ours[common]
+            try:
+                pose = np.linalg.inv(theirs[common]) @ ours[common]
+            except np.linalg.LinAlgError:
+                raise Refused(f"the transforms between {of} and {frame} have no inverse; check tf") from None
         return MapPose(float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0]))
 
     def _above(self, frame: str) -> dict[str, _Matrix]:

@@ -3,6 +3,7 @@
 import argparse
 import os
 import signal
+import struct
 import sys
 import threading
 import time
@@ -34,6 +35,9 @@ _SETTINGS = (
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
     "</Domain></CycloneDDS>"
 )
+
+#: Most messages that are taken from a topic before the others have their turn.
+_AT_ONCE = 100
 
 #: Seconds between the reading thread's checks whether to end.
 _LOOK_UP = 0.2
@@ -79,9 +83,15 @@ class Participant:
         self._problem = ""
         try:
             self._dds = DomainParticipant(domain)
+            self._open()
         except DDSException as error:
-            raise Refused(f"DDS does not start on domain {domain}: {error}; check CYCLONEDDS_URI") from None
-        latched = quality_of_service(latched=True)
+            raise Refused(
+                f"DDS does not start on domain {domain}: {error}; check --map, --namespace and CYCLONEDDS_URI"
+            ) from None
+
+    def _open(self) -> None:
+        """Make readers and writers."""
+        given, latched = self._given, quality_of_service(latched=True)
         self._out = {name: self._writer(f"dc2g_planner/{name}", kind, latched) for name, kind in OUTPUTS.items()}
         if given["drive"]:
             self._to_nav2 = self._writer("goal_pose", "PoseStamped", quality_of_service(latched=False))
@@ -108,7 +118,7 @@ class Participant:
 
     def _topic(self, name: str, kind: str) -> Topic:
         """The DDS topic for a ROS name, which is in the namespace unless it begins with `/`."""
-        path = name if name.startswith("/") else f"{self._given['namespace']}/{name}"
+        path = name if name.startswith("/") else f"{self._given['namespace'].strip('/')}/{name}"
         return Topic(self._dds, f"rt/{path.lstrip('/')}", getattr(TYPES, kind))
 
     def _writer(self, name: str, kind: str, quality: Qos) -> DataWriter:
@@ -122,22 +132,30 @@ class Participant:
         arrived = WaitSet(self._dds)
         for reader, _ in self._read:
             arrived.attach(ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead))
-        while not ended.is_set():
-            arrived.wait(duration(seconds=_LOOK_UP))
-            # Maps are taken first and seen last: a transform that came before a map counts with it.
-            batches = [(take_in, self._taken(reader)) for reader, take_in in self._read]
-            for take_in, messages in reversed(batches):
-                for message in messages:
-                    take_in(message)
+        try:
+            while not ended.is_set():
+                arrived.wait(duration(seconds=_LOOK_UP))
+                # Maps are taken first and seen last: a transform that came before a map counts with it.
+                batches = [(take_in, self._taken(reader)) for reader, take_in in self._read]
+                for take_in, messages in reversed(batches):
+                    for message in messages:
+                        take_in(message)
+        finally:
+            ended.set()  # also after an error of DDS: better ended than deaf
 
     def _taken(self, reader: DataReader) -> list[Any]:
-        """The messages that arrived on a topic."""
-        try:
-            # Samples without valid data are notices that a sender has gone.
-            return [message for message in reader.take(N=100) if message.sample_info.valid_data]
-        except (DDSException, UnicodeDecodeError) as error:
-            self._log(f"warning: a message on {reader.topic.name} cannot be read: {error}")
-            return []
+        """The messages that arrived on a topic. They are taken one by one, so that an unreadable one loses no other."""
+        messages: list[Any] = []
+        for _ in range(_AT_ONCE):
+            try:
+                taken = reader.take(N=1)
+            except (ValueError, IndexError, struct.error) as error:
+                self._log(f"warning: a message on {reader.topic.name} cannot be read: {error}")
+                continue
+            if not taken:
+                break
+            messages += [message for message in taken if message.sample_info.valid_data]  # others: a sender has gone
+        return messages
 
     def _decide(self) -> None:
         """If anything is new, decide and publish the decision. Log each problem once."""
@@ -146,8 +164,11 @@ class Participant:
             if decided is None:
                 return
             problem = self._tell(decided)
-        except (Refused, DDSException) as error:
+        except Refused as error:
             problem = f"no decision: {error}"
+        except (DDSException, IndexError) as error:  # a reader is slow, or has come or gone meanwhile
+            self._decider.is_news = True
+            problem = f"a decision was not published: {error}"
         if problem and problem != self._problem:
             self._log(f"warning: {problem}")
         self._problem = problem

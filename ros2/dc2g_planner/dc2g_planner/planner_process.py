@@ -108,7 +108,9 @@ class PlannerHere(AnyPlanner):
     def __init__(self, **options: Any):
         try:
             from dc2g_jax import InputError
-        except ImportError:
+        except ModuleNotFoundError as error:
+            if error.name != "dc2g_jax":
+                raise
             raise Refused("dc2g_jax is not installed in this Python; install it with pip") from None
         self._refusal = InputError
         try:
