@@ -6,7 +6,7 @@ import pytest
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, TRAVERSABLE
 from dc2g_jax._src.readers import families
-from dc2g_jax._src.readers.families import family_of, gather
+from dc2g_jax._src.readers.families import family_of, field_of_view_of, gather
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import why_no_episode
 from dc2g_jax.families import plain
@@ -107,6 +107,15 @@ def test_families_have_one_size_and_their_maps_are_spread():
     assert [house.name for house in gather([MINE], "val", 9, 35).houses] == [f"mine/small{n}" for n in range(3)]
     both = gather([MINE, "mazes"], "val", 2, 2500).houses
     assert [family_of(house.name) for house in both] == ["mine", "mine", "mazes", "mazes"]
+
+
+def test_a_family_with_a_field_of_view(tmp_path, monkeypatch):
+    assert [house.name for house in gather([f"{MINE}@67.5"], "val", 1, 36).houses] == ["mine@67.5/large0"]
+    assert field_of_view_of("mine@67.5") == ("mine", 67.5)
+    assert field_of_view_of("mine@home") == ("mine@home", None)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "maps@2024").mkdir()
+    assert field_of_view_of("maps@2024") == ("maps@2024", None)
 
 
 def test_families_that_cannot_be_gathered(monkeypatch):

@@ -221,7 +221,7 @@ def front_door(
       sensing_range: range of the field of view, in cells.
       field_of_view: width of the field of view in degrees, 1 to 360.
       step_limit: actions after which an episode is truncated.
-      autoreset: whether `step` begins a new episode where one ends.
+      autoreset: whether `step` begins a new episode where one ends; otherwise the robot stays in the old one.
 
     Raises:
       InputError: there are no houses, no episode can be run in one of them (leave out those for which `why_no_episode`
@@ -286,7 +286,11 @@ def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "pixels*h p
     Args:
       observation: observation of the robot.
       pixels: side length of a cell.
+
+    Raises:
+      InputError: `pixels` is not a positive whole number.
     """
+    check_number("pixels", pixels, whole=True, least=1)
     cells = jnp.asarray(FIGURE_RGB)[observation.terrain]
     picture = jnp.repeat(jnp.repeat(cells, pixels, axis=0), pixels, axis=1)
     pose, forward = observation.pose, jnp.asarray(FORWARD)[observation.pose.heading]

@@ -1,8 +1,10 @@
 """Families of maps, gathered into one dataset to run planners in all of them: `dc2g compare`."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -25,8 +27,8 @@ def family_of(house: str) -> str:
 
 def field_of_view_of(family: str) -> tuple[str, float | None]:
     """The maps and the field of view in degrees of a family such as `offices@360`; `None` if it names none."""
-    maps, _, degrees = family.rpartition("@")
-    return (maps, float(degrees)) if maps and degrees.isdecimal() else (family, None)
+    found = None if Path(family).exists() else re.fullmatch(r"(.+)@([0-9]+(?:\.[0-9]+)?)", family)
+    return (family, None) if found is None else (found[1], float(found[2]))
 
 
 def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int) -> HouseDataset:
