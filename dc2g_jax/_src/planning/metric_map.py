@@ -95,9 +95,8 @@ class Cells(NamedTuple):
         """Poses at the centers of cells, given column, row and heading of each; anything after these is ignored."""
         x, y, heading = np.array([pose[:3] for pose in poses], np.intp).reshape(-1, 3).T
         yaws = [math.remainder(self.frame.yaw - turns * _QUARTER, math.tau) for turns in range(HEADINGS)]
-        middles: Any = (x + 0.5) * self.size, -(y + 0.5) * self.size
-        columns: Any = (*self.frame.to_map(*middles), np.array(yaws)[heading])
-        return list(map(MetricPose, *(values.tolist() for values in columns)))
+        middles = self.frame.to_map((x + 0.5) * self.size, -(y + 0.5) * self.size)
+        return list(map(MetricPose, *(values.tolist() for values in (*middles, np.array(yaws)[heading]))))
 
 
 class DrawnMap(NamedTuple):
