@@ -70,7 +70,7 @@ def test_quick_benchmark_of_one_section(tmp_path):
     assert f"## {SECTIONS['planners']}" not in table
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_quick_benchmark_of_everything(tmp_path):
     result = run("--quick", "--repeats", 1, "--dataset", "procedural", "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr

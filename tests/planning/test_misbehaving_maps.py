@@ -20,7 +20,7 @@ from tests.support import stories
 from tests.support.metric_maps import FRAME, FREE, OCCUPIED, PIXEL, REACH, TURNS, UNKNOWN, grid_of, place, planner_of
 
 #: Numbers of the stories.
-FIRST, _, BEYOND = os.environ.get("STORIES", "100").rpartition("-")
+FIRST, _, BEYOND = os.environ.get("STORIES", "50").rpartition("-")
 STORIES = range(int(FIRST or 0), int(BEYOND))
 
 #: Most seconds of CPU time that a decision takes.

@@ -120,9 +120,9 @@ def start_robot(domain: int, first: int) -> subprocess.Popen:
 _ENDLESS = """
 import itertools, sys, time
 sys.path.insert(0, "ros2/dc2g_planner")
-from tests.support import dds, metric_maps
+from tests.support import dds, ros_maps
 robot = dds.Robot({domain})
-message = dds.ours(metric_maps.map_message(metric_maps.CORRIDOR))
+message = dds.ours(ros_maps.map_message(ros_maps.CORRIDOR))
 for message.header.stamp.sec in itertools.count({first}):
     robot.map.write(message)
     time.sleep(0.02)
