@@ -80,6 +80,18 @@ class jit:
         return sum(program._cache_size() for program in self._programs.values())
 
 
+def count_programs() -> list[float]:
+    """A list that grows by the seconds of each program that is compiled, or loaded from disk, from now on."""
+    seconds: list[float] = []
+
+    def hear(event: str, duration_secs: float, **_: Any) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            seconds.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(hear)
+    return seconds
+
+
 # fmt: off
 #: Primitives that XLA compiles within one operation of a CPU. Others call a library, or have no code there.
 _WITHIN_ONE_OPERATION = frozenset({

@@ -27,6 +27,7 @@ from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, REFERENCE, families_o
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.own_parts import is_own_part
+from dc2g_jax._src.runtime.programs import count_programs
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 
@@ -82,7 +83,7 @@ def main(options: Options) -> None:
     network = options.open(options.planner)
     planners = by_name(options.planner, network)
     out = output_folder(options, "compare", inputs=digests(dataset, network=network))
-    began = datetime.datetime.now(datetime.UTC)
+    began, programs = datetime.datetime.now(datetime.UTC), count_programs()
     table, start, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
     # A step limit for each size of map: planners that fail would take that of the largest on all.
     alike: dict[tuple[tuple[int, ...], Settings], list[House]] = {}
@@ -102,6 +103,7 @@ def main(options: Options) -> None:
         for runner, of_all in runs:
             results += table.run(runner, of_all, {planner: source})
     spent = f"{(time.monotonic() - start) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
+    spent += f"; {len(programs)} programs were compiled or loaded in {sum(programs) / 60:.1f} minutes"
 
     families = families_of(results, limit)
     (out / "images").mkdir(exist_ok=True)
