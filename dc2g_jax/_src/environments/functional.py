@@ -278,7 +278,7 @@ def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class s
     return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
 
 
-def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "pixels*h pixels*w 3"]:
+def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "height width 3"]:
     """A picture of an observation: classes in the colors of the figures, and the robot as a black triangle.
 
     Pure, so `jax.vmap` draws a batch.
