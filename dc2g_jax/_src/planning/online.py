@@ -22,7 +22,7 @@ from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.poses import HEADINGS, Pose
 from dc2g_jax._src.grid.sensing import check_sensing_range
-from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE, ROAD, TRAVERSABLE, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax._src.planning.inputs import map_of, numbers_of
@@ -178,7 +178,7 @@ class OnlinePlanner:
         self._shapes = shapes if self._pads_maps else shapes[-1:]
         for shape in self._shapes:
             terrain = np.full(shape, UNKNOWN, np.uint8)
-            terrain[0, 0] = FREE
+            terrain[0, 0] = ROAD  # a class, so that the network runs as well
             self._view(terrain, RobotPose(0, 0, 0))
 
     def plan(self, grid: npt.ArrayLike, pose: npt.ArrayLike, *, origin: npt.ArrayLike = (0, 0)) -> Decision:
