@@ -104,7 +104,7 @@ def test_fields_of_view_of_any_angle_follow_the_rule():
             assert set(offsets) == set(oracle.sensing_offsets(radius, heading, degrees)), (radius, degrees)
 
 
-@pytest.mark.parametrize("examples", [12, pytest.param(300, marks=pytest.mark.release)])
+@pytest.mark.parametrize("examples", [12, pytest.param(300, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("view", [sensing.field_of_view, sensing.line_of_sight])
 def test_what_is_seen_at_any_angle(view, examples):
     shape = height, width = 9, 33

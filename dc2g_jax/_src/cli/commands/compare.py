@@ -110,10 +110,8 @@ def main(options: Options) -> None:
     plot_leaderboard(out / "images" / "leaderboard", families)
     command = re.sub(r" --(out ('[^']*'|\S+)|resume)", "", command_written())
     degrees = common.field_of_view
-    if any(field_of_view_of(family)[1] for family in settings):
-        wide = f" over {degrees:g} degrees (after @: another width)"
-    else:
-        wide = "" if degrees == PAPER_DEGREES else f" over {degrees:g} degrees"
+    others = " (after @: another width)" if any(field_of_view_of(family)[1] for family in settings) else ""
+    wide = f" over {degrees:g} degrees{others}" if others or degrees != PAPER_DEGREES else ""
     sees = f"{common.sensing_range}-cell sensing{wide}"
     text = page(
         families,
