@@ -24,7 +24,7 @@ from dc2g_jax._src.runtime import devices
 from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training import sweeps
-from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, mean_loss
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, RunStates, Task, steps_left_out
 from dc2g_jax._src.training.losses import LOSSES, loss_sha256, parse_losses
@@ -184,15 +184,16 @@ def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
 
 def test_a_loss_of_no_weight_makes_no_run_diverge(data):
     config = dataclasses.replace(BASE, losses=(("l1", 1.0), ("l2", 0.0)))
-    weights = jax.tree.map(lambda leaf: 1e10 * leaf, first_state(config).weights)
+    state = first_state(config)
+    state = dataclasses.replace(state, weights=jax.tree.map(lambda leaf: 1e10 * leaf, state.weights))
     batch = DRAW(jax.random.key(0), data, batch_size=4)
 
-    def loss_and_gradients(recipe, losses):
-        return jax.jit(jax.value_and_grad(functools.partial(mean_loss, recipe, jnp.array(losses))))(weights, batch)
+    def loss_and_gradients(losses):
+        run = dataclasses.replace(config, losses=losses)
+        return jax.jit(CostToGoTraining(run.recipe, DRAW).gradient)(state, batch, run.hyperparameters)
 
-    both = loss_and_gradients(config.recipe, [1.0, 0.0])
-    one = loss_and_gradients(dataclasses.replace(config, losses=(("l1", 1.0),)).recipe, [1.0])
-    assert not np.isfinite(mean_loss(config.recipe, jnp.array([0.0, 1.0]), weights, batch))
+    both, one = loss_and_gradients((("l1", 1.0), ("l2", 0.0))), loss_and_gradients((("l1", 1.0),))
+    assert not np.isfinite(loss_and_gradients((("l1", 0.0), ("l2", 1.0)))[0])
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
 
 

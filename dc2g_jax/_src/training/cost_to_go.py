@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, UInt32
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.runtime.errors import check_number, check_seed
-from dc2g_jax._src.runtime.programs import jit
+from dc2g_jax._src.runtime.programs import apart, jit
 from dc2g_jax._src.training.losses import LOSSES, Loss, map_loss, named_loss
 from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
@@ -112,19 +112,26 @@ DrawBatch = Callable[..., Pair]
 def mean_loss(
     recipe: TrainingConfig,
     loss_weights: Float[Array, "losses"],
-    weights: Any,
+    estimate: Float[Array, "b h w quantiles"],
     batch: Pair,
     own_losses: Mapping[str, Loss] = MappingProxyType({}),
 ) -> Float[Array, ""]:
-    """Mean over a batch of the weighted sum of each map's losses, in units of the architecture's cost scale."""
+    """Mean over a batch of the weighted sum of each map's losses, in units of the architecture's cost scale.
+
+    Args:
+      recipe: names of the losses, and the architecture.
+      loss_weights: weights of the losses.
+      estimate: the network's quantiles of the cost-to-go, in cells.
+      batch: the pairs.
+      own_losses: losses by names that only this program knows.
+    """
     scale = recipe.architecture.cost_scale
     levels = jnp.asarray(recipe.architecture.quantiles, jnp.float32)
-    estimate = compact_unet.apply(recipe.architecture, weights, batch.terrain) / scale
 
     def mean(name: str, weight: Float[Array, ""]) -> Float[Array, ""]:
         of_map = functools.partial(map_loss, own_losses.get(name) or named_loss(name), levels=levels)
         # A loss of weight 0 must not overflow.
-        judged = jnp.where(weight > 0, estimate, 0.0)
+        judged = jnp.where(weight > 0, estimate / scale, 0.0)
         return weight * jnp.mean(jax.vmap(of_map)(judged, batch.target / scale, batch.weight))
 
     return jnp.sum(jnp.stack([mean(name, loss_weights[number]) for number, (name, _) in enumerate(recipe.losses)]))
@@ -182,9 +189,15 @@ class CostToGoTraining(Supervised):
         self, state: TrainingState, batch: Pair, hyperparameters: Hyperparameters
     ) -> tuple[Float[Array, ""], Any]:
         """The mean loss of a batch, and its gradient."""
-        own = dict(self.own_losses)
-        loss = functools.partial(mean_loss, self.recipe, hyperparameters.loss_weights, own_losses=own)
-        return jax.value_and_grad(loss)(state.weights, batch)
+        of_weights = functools.partial(compact_unet.apply, self.recipe.architecture, terrain=batch.terrain)
+        estimate, of_estimate = jax.vjp(of_weights, state.weights)
+
+        def loss_of(estimate: Array, batch: Pair, loss_weights: Array) -> Float[Array, ""]:
+            return mean_loss(self.recipe, loss_weights, estimate, batch, dict(self.own_losses))
+
+        # By itself: within the network's program, XLA would compute its gradient for each use, in a slow order.
+        loss, gradient = apart(jax.value_and_grad(loss_of), estimate, batch, hyperparameters.loss_weights)
+        return loss, of_estimate(gradient)[0]
 
 
 @functools.partial(jit, static_argnames="architecture")

@@ -121,8 +121,10 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
     """
     height, width = pair.terrain.shape
     stretch, shift, chance = jax.random.split(key, 3)
+    change = jax.random.bernoulli(chance)
     factors = jnp.exp(jax.random.uniform(stretch, (2,), minval=-jitter, maxval=jitter))
     offsets = _SHIFT_PER_JITTER * jax.random.uniform(shift, (2,), minval=-jitter, maxval=jitter)
+    factors, offsets = jnp.where(change, factors, 1.0), jnp.where(change, offsets, 0.0)
 
     def sampled(size: int, axis: int) -> tuple[Array, Array]:
         """Index of the source of each cell, and whether the source lies on the map."""
@@ -131,11 +133,9 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
         return jnp.clip(source, 0, size - 1), (source >= 0) & (source < size)
 
     (rows, row_there), (columns, column_there) = sampled(height, 0), sampled(width, 1)
-    there = row_there[:, None] & column_there
-    changed = Pair(
-        terrain=jnp.where(there, pair.terrain[rows][:, columns], jnp.uint8(0)),
-        target=pair.target[rows][:, columns] * jnp.sqrt(factors[0] * factors[1]),
-        weight=jnp.where(there, pair.weight[rows][:, columns], 0.0),
+    there, source = row_there[:, None] & column_there, (rows[:, None], columns)
+    return Pair(
+        terrain=jnp.where(there, pair.terrain[source], jnp.uint8(0)),
+        target=pair.target[source] * jnp.sqrt(factors[0] * factors[1]),
+        weight=jnp.where(there, pair.weight[source], 0.0),
     )
-    change = jax.random.bernoulli(chance)
-    return jax.tree.map(lambda new, old: jnp.where(change, new, old), changed, pair)
