@@ -16,7 +16,7 @@ from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.readers.houses import open_dataset
-from dc2g_jax._src.readers.starts import usable_houses
+from dc2g_jax._src.readers.starts import check_starts, usable_houses
 from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax.robot.recording import MappedFrame, record_camera
 from experiments.driving.drive import reset
@@ -66,6 +66,7 @@ def main(options: Options) -> None:
     else:
         house = dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
+    check_starts([start], dataset)
     robot = equipment(
         options.planner,
         network_for([options.planner], options.network or resource(SHIPPED_NOISY_NETWORK)),

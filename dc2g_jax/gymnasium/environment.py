@@ -29,7 +29,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from jaxtyping import Array, Float, Int, UInt8
 from PIL import Image, ImageDraw
 
-from dc2g_jax.datasets import HouseDataset, Start, check_starts, open_dataset, usable_houses
+from dc2g_jax.datasets import HouseDataset, Start, check_starts, open_dataset, usable_houses, why_no_episode
 from dc2g_jax.environments import FrontDoor, Observation, Params, State, make_env, observe
 from dc2g_jax.grid import CLASS_NAMES, FIGURE_RGB, FORWARD, HEADINGS, Pose, make_pose
 from dc2g_jax.runtime import InputError, check_name, check_number, jit
@@ -166,9 +166,9 @@ class _Robots:
             )
         for name, number in (("x", x), ("y", y), ("heading", heading)):
             check_number(name, number, whole=True)
+        if reason := why_no_episode(house):
+            raise InputError(f"house {house.name}: no episode can be run in it: {reason}; give another house")
         check_starts([Start(house.name, int(x), int(y), int(heading))], self._dataset, lambda _: f"house {house.name}")
-        if house.name not in self._houses:
-            raise InputError(f"house {house.name}: no episode can be run in it; give another house")
         return int(np.flatnonzero(self._houses == house.name)[0]), x, y, heading
 
 

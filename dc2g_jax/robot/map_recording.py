@@ -10,7 +10,7 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax import commands
-from dc2g_jax.datasets import open_dataset
+from dc2g_jax.datasets import check_starts, open_dataset
 from dc2g_jax.estimation import world_cost_to_go
 from dc2g_jax.grid import UNKNOWN, World, make_pose
 from dc2g_jax.inspection import plot_map
@@ -68,8 +68,10 @@ def main(options: Options) -> None:
         sequence, settings = sequences.covered(sequence, options.cell_size, options.reach)
         out = commands.output_folder(options, "map_recording")
     elif options.simulate is not None:
-        house = open_dataset(options.dataset).house(options.simulate)
+        dataset = open_dataset(options.dataset)
+        house = dataset.house(options.simulate)
         start = commands.start_in(house.name, house, options.start, options.seed)
+        check_starts([start], dataset)
         out = commands.output_folder(options, "map_recording")
         folder = out / "sequence"
         camera = intrinsics(FIELD_OF_VIEW, options.image_size[1], options.image_size[0])

@@ -15,6 +15,7 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
 from dc2g_jax._src.readers.starts import Start, sample_starts, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import Runner
+from dc2g_jax._src.rollouts.results import Results
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 
 PLANNERS = ("frontier", "dc2g")
@@ -57,7 +58,7 @@ def main() -> None:
             seen_so = HouseDataset(dataset.name, dataset.source, tuple(house for house, _ in pairs))
             runner = Runner(seen_so, SETTINGS["paper"], progress=EpisodeProgress())
             results = runner.run([start for _, own in pairs for start in own], PLANNERS, network)
-            means.append([np.mean([one.extra for one in results if one.planner == name]) for name in PLANNERS])
+            means.append([np.mean(Results(results).array("extra")[name]) for name in PLANNERS])
             print(f"{turns:5d} {mirror!s:>6} " + " ".join(f"{mean:9.1f}" for mean in means[-1]), flush=True)
     print(f"{'mean':>12} " + " ".join(f"{mean:9.1f}" for mean in np.mean(means, axis=0)))
 

@@ -288,8 +288,7 @@ def main(options: Options) -> None:
 def _gain(results: Results, label: str, seeds: tuple[int, ...]) -> dict[str, Any]:
     """Extra steps by a label less those by the cost-to-go, by start, means over seeds; and the houses' interval."""
     mine, theirs = (
-        np.mean([[one.extra for one in results.of(f"{name} {seed}")] for seed in seeds], axis=0)
-        for name in (label, "cost_to_go")
+        np.mean([results.array("extra")[f"{name} {seed}"] for seed in seeds], axis=0) for name in (label, "cost_to_go")
     )
     houses = [one.house for one in results.of(f"{label} {seeds[0]}")]
     return house_bootstrap(mine - theirs, houses, resamples=_RESAMPLES, seed=0)._asdict()

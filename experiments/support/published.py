@@ -10,7 +10,7 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
-from dc2g_jax._src.readers.starts import Start, published_episodes
+from dc2g_jax._src.readers.starts import Start, check_starts, published_episodes
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
@@ -67,7 +67,9 @@ def run_published(
 ) -> list[EpisodeResult]:
     """Results of the paper's 400 episodes, planner by planner."""
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    return table.run(runner, [start for start, *_ in published_episodes()], planners, network)
+    starts = [start for start, *_ in published_episodes()]
+    check_starts(starts, dataset)
+    return table.run(runner, starts, planners, network)
 
 
 def authors_results() -> list[EpisodeResult]:
@@ -109,6 +111,7 @@ def pair_up(
             authors_extra=extra_steps(theirs["dc2g"], theirs["oracle"]),
         )
         for (start, group, theirs), blind, ours in zip(published, frontier, dc2g, strict=True)
+        if ours.oracle_steps is not None
     ]
 
 

@@ -7,13 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax._src.cli.commands import run_episodes
+from dc2g_jax._src.cli.commands import draw_episodes, run_episodes
 from dc2g_jax._src.cli.commands.check_map import Options, main
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
 from dc2g_jax._src.runtime.errors import InputError
 from tests.support.maps import drawn
 from tests.support.occupancy import save
+from tests.support.refusals import refusal
 
 PALETTE = "class,r,g,b\n" + "".join(
     f"{name},{r},{g},{b}\n" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)
@@ -95,3 +96,39 @@ def test_episodes_are_run_on_a_folder_of_maps(tmp_path):
     assert [(row["house"], row["success"], row["oracle_steps"]) for row in rows] == [
         ("campus", "1", "10"), ("lab", "1", "22"),
     ]  # fmt: skip
+
+
+def test_means_leave_out_starts_without_a_door_in_reach(tmp_path, capsys):
+    (tmp_path / "maps").mkdir()
+    np.save(tmp_path / "maps" / "campus.npy", CAMPUS)
+    np.save(tmp_path / "maps" / "closed.npy", np.where(CAMPUS == FRONT_DOOR, GRASS, CAMPUS))
+    table, rows = tmp_path / "starts.csv", ["house,x,y,heading", "closed,0,3,0", "campus,0,3,0"]
+
+    def printed(*lines: str, out: str) -> list[str]:
+        table.write_text("\n".join([*rows[:1], *lines]))
+        options = {"starts": table, "dataset": str(tmp_path / "maps"), "out": tmp_path / out}
+        run_episodes.main(run_episodes.Options(planner=("oracle", "frontier"), **options))
+        return capsys.readouterr().out.splitlines()
+
+    both, alone = printed(*rows[1:], out="both"), printed(rows[2], out="alone")
+    assert both[1:4] == alone[1:4]
+    with (tmp_path / "both" / "episodes.csv").open() as file:
+        oracle, _, explored, _ = csv.DictReader(file)
+    assert [explored[name] for name in ("success", "oracle_steps", "extra", "mode")] == ["0", "", "", "gave_up"]
+    assert (oracle["steps"], oracle["oracle_steps"]) == ("0", "")
+    assert both[4] == "no door can be reached from 1 of these starts, left out of extra steps and success:"
+    assert [line.split() for line in both[6:8]] == [
+        ["oracle", "100.0", "0.0"], ["frontier", "100.0", f"{int(explored['steps']):.1f}"],
+    ]  # fmt: skip
+    closed = printed(rows[1], out="closed")
+    assert closed[1:5] == both[4:8]
+
+    def draw(run: str, **options):
+        episodes, out = tmp_path / run / "episodes.csv", tmp_path / f"drawn_{run}"
+        draw_episodes.main(draw_episodes.Options(episodes=episodes, dataset=str(tmp_path / "maps"), out=out, **options))
+        return {path.name for path in out.glob("*.png")}
+
+    paths = "closed-x0-y3-h0-r8.png"
+    assert draw("both", house=("closed",)) == {"houses.png", paths}
+    refusal(lambda: draw("closed"), "episodes.csv", "a --house")
+    assert draw("closed", house=("closed",)) == {paths}

@@ -12,8 +12,10 @@ import pytest
 from dc2g_jax._src.cli import commands, one_start
 from dc2g_jax._src.cli.commands import draw_dataset, draw_episodes, explore_map
 from dc2g_jax._src.files.class_images import write_class_image
+from dc2g_jax._src.files.rows import read_rows
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from dc2g_jax._src.readers.houses import map_dataset
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from experiments import reproduce_fig8
 from tests.support import toy
 from tests.support.commands import run
@@ -100,9 +102,38 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(yard, tmp_path
     refusal(lambda: explore(start=(0, 0, 0)), wall)
     refusal(lambda: explore(sensing_range=0), "sensing range 0", "1 to 64")
     refusal(lambda: explore(field_of_view=400.0), "field of view 400", "1 to 360")
-    np.save(yard, np.where(YARD == FRONT_DOOR, GRASS, YARD))
-    refusal(explore, "yard.npy", "no front door")
+    np.save(yard, np.full_like(YARD, GRASS))
+    refusal(explore, "yard.npy", "no traversable ground")
+    refusal(lambda: explore(start=(0, 0, 0)), "yard.npy: --start 0 0 0", "no traversable ground")
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("row", "start", "reason"),
+    [
+        (0, None, "in yard: it has no front door"),
+        (1, None, "in yard: no front door can be reached, none touches other traversable ground"),
+        (2, (0, 6, 2), "the nearest cell to start from lies at column 4, row 1"),
+    ],
+)
+def test_a_robot_without_a_door_in_reach_explores_and_gives_up(yard, tmp_path, capsys, row, start, reason):
+    closed, out = YARD.copy(), tmp_path / "out"
+    closed[row, 4] = GRASS
+    np.save(yard, closed)
+    explore_map.main(explore_map.Options(yard, start=start, planner=("frontier",), sensing_range=3, out=out))
+    _, _, oracle, frontier, why, *_ = capsys.readouterr().out.splitlines()
+    outcome = ["gave", "up:", "no", "door", "can", "be", "reached", "from", "this", "start"]
+    episodes = read_rows(out / "episodes.csv", EpisodeResult)
+    assert oracle.split() == ["oracle", "0", "knows", "the", "map", *outcome]
+    assert frontier.split() == ["frontier", str(episodes[1].steps), *outcome]
+    assert why.startswith("no goal can be reached from column")
+    assert why.endswith(reason)
+    assert [one[7:12] for one in episodes] == [
+        (False, steps, None, None, "gave_up") for steps in (0, len(episodes[1].actions))
+    ]
+    assert episodes[1].steps > 5
+    written = {*figure("episode"), "episode.gif", "episode.rrd", *figure("trajectories")}
+    assert written <= {path.name for path in out.iterdir()}
 
 
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(yard, tmp_path):

@@ -8,6 +8,8 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABL
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.starts import (
     Start,
+    any_ground,
+    check_starts,
     published_episodes,
     read_starts,
     sample_starts,
@@ -75,6 +77,15 @@ def test_why_no_episode(dataset):
     assert why_no_episode(dataset.house("street")) is None
     assert why_no_episode(dataset.house("doorless")) == "it has no front door"
     assert "reached" in why_no_episode(dataset.house("island"))
+
+
+def test_starts_without_a_goal_in_reach_are_refused_unless_any_ground_will_do(dataset):
+    for start, mentions in (
+        (Start("island", 0, 0, 0), ["no goal can be reached from column 0, row 0"]),
+        (Start("doorless", 3, 4, 0), ["no goal can be reached", "in doorless: it has no front door"]),
+    ):
+        refusal(lambda start=start: check_starts([start], dataset), f"start 0 in {start.house}: ", *mentions)
+        check_starts([start], dataset, ground_of=any_ground)
 
 
 def test_a_split_without_episodes_is_refused_by_name(dataset):
@@ -162,8 +173,7 @@ def test_ranges_are_optional(tmp_path, dataset):
         ("street,2,0,0", ["column 2, row 0 is a goal already"]),
         ("strete,3,4,0", ["strete", "street"]),
         (",3,4,0", ["house"]),
-        ("island,0,0,0", ["no goal can be reached"]),
-        ("doorless,3,4,0", ["doorless", "no front door"]),
+        ("doorless,0,0,0", ["column 0, row 0 is 'house'", "nearest cell to start from"]),
     ],
     ids=ascii,
 )

@@ -158,14 +158,37 @@ def test_a_start_that_leads_nowhere_is_refused(dataset):
     )
 
 
+def test_without_a_goal_in_reach_there_is_nothing_to_compare_with(dataset, street):
+    doorless = House("doorless", "test", np.where(street == FRONT_DOOR, HOUSE, street).astype(np.uint8))
+    both = HouseDataset("both", "folder", (*dataset.houses, doorless))
+    starts = [Start("doorless", 9, 5, 1), Start("left", 9, 5, 1)]
+    results = Runner(both, SETTINGS["paper"]).run(starts, ["frontier", "oracle"])
+    for result in results[::2]:
+        success, actions, mode = oracle.run_episode(
+            doorless.terrain,
+            (9, 5, 1),
+            result.planner,
+            rules="complete",
+            sensing_radius=8,
+            expanding_radius=8,
+            max_steps=500,
+        )
+        assert (result.success, result.actions, result.mode) == (success, actions, mode)
+        assert result[7:12] == (False, len(actions), None, None, "gave_up")
+    assert results[1::2] == Runner(dataset, SETTINGS["paper"]).run(starts[1:], ["frontier", "oracle"])
+    assert Results(results).summary() == Results(results[1::2]).summary()
+    refusal(lambda: evaluate("frontier", both, starts=starts), "start 0 in doorless: ", "it has no front door")
+
+
 def test_the_step_limit_grows_with_the_map(dataset):
     assert Runner(dataset, SETTINGS["paper"]).step_limit == 500
     campus = House("campus", "test", np.full((60, 100), FRONT_DOOR, np.uint8))
     assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 60 * 100 // 5
-    # Ground that leads to no door does not count; a long way to the door counts on a map of any size.
+    # Of ground, the largest part counts, also if cut off from the door; a long way to it counts on a map of any size.
     campus.terrain[:, 6:] = HOUSE
-    campus.terrain[:, 8:] = ROAD
     assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 500
+    campus.terrain[:, 8:20] = ROAD
+    assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 60 * 12
     corridors = np.full((50, 50), ROAD, np.uint8)
     corridors[1::4, 1:] = corridors[3::4, :-1] = HOUSE
     corridors[0, 49] = FRONT_DOOR

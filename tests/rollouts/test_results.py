@@ -67,6 +67,10 @@ def test_values_of_a_row_that_contradict_each_other_are_refused():
     row = EpisodeResult("left", 0, 0, 0, 1, None, "frontier", False, 0, 4, -100.0, "gave_up")
     row.check()
     row._replace(heading=3, steps=6, extra=50.0, actions="FFLRFF").check()
+    row._replace(oracle_steps=None, extra=None).check()
+    for wrong in ({"extra": None}, {"oracle_steps": None}, {"oracle_steps": None, "extra": None, "success": True}):
+        with pytest.raises(ValueError, match="oracle_steps and extra"):
+            row._replace(**wrong).check()
     wrong = {"x": -1, "y": -1, "heading": 4, "range": -1, "steps": 3, "actions": "F", "extra": 0.0}
     for name, value in wrong.items():
         with pytest.raises(ValueError, match=name):

@@ -272,7 +272,7 @@ def test_plans_of_the_oracle_lead_over_ground_that_nobody_has_seen(results):
 def test_a_planner_that_gives_up_has_no_path(tmp_path):
     terrain = np.full_like(_TERRAIN, GRASS)
     terrain[1, 1], terrain[6, 14] = ROAD, FRONT_DOOR  # one cell to stand on, and a look around it
-    result = EpisodeResult("closed", 1, 1, 2, 3, None, "frontier", False, 3, 28, -1.0, "gave_up", "LLL")
+    result = EpisodeResult("closed", 1, 1, 2, 3, None, "frontier", False, 3, None, None, "gave_up", "LLL")
     house = House("closed", "test", terrain)
     found = replay_result(result, house, _RULES)
     assert [MODE_NAMES[mode] for mode in found.mode] == ["explore"] * 3 + ["gave_up"]
@@ -281,6 +281,7 @@ def test_a_planner_that_gives_up_has_no_path(tmp_path):
     logged = read(record_episode(tmp_path / "x.rrd", house=house, result_by_planner={"a": result}, rules=_RULES))
     assert logged["/a/status", "TextDocument:text"][3] == ["**step 3** of 3 · gave up"]
     assert logged["/a/mode", "TextLog:text"][3] == ["a: gave up"]
+    assert logged["/hidden/about", "TextDocument:text"][None][0].endswith("no door can be reached")
     assert not any(logged["/a/plan/subgoals", "Points2D:positions"][3])
     assert ("/a/extra_steps", "Scalars:scalars") not in logged
 

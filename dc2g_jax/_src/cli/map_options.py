@@ -10,10 +10,12 @@ from jaxtyping import UInt8
 
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.files.class_images import read_palette
+from dc2g_jax._src.grid.poses import HEADINGS
+from dc2g_jax._src.grid.terrain import ROAD
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.maps import Goal, draw_map
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
-from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, start_ground, why_no_episode
+from dc2g_jax._src.readers.starts import Start, any_ground, check_starts, sample_starts
 from dc2g_jax._src.runtime.errors import InputError
 
 #: Start of an episode: column, row and heading.
@@ -71,7 +73,7 @@ def doubts_about(options: MapOptions) -> list[str]:
 
 
 def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:
-    """The given start, or a sampled one.
+    """The given start, or a sampled one: from where a goal can be reached if such a start can be sampled.
 
     Args:
       where: file or name of the map, for error messages.
@@ -80,15 +82,21 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
       seed: seed of the sampled start.
 
     Raises:
-      InputError: no goal can be reached from there; the message names the nearest valid start.
+      InputError: the start is off the map, on a goal, or not traversable, and the message names the nearest valid one;
+        or there is nowhere to start.
     """
-    if pose is None:
-        if reason := why_no_episode(house):
-            elsewhere = np.any(start_ground(house.terrain))
-            remedy = "give a --start on other ground, from which one can" if elsewhere else "choose another one"
-            raise InputError(f"{where}: {reason}; {remedy}")
-        return sample_starts([house], 1, seed=seed)[0]
-    start = Start(house.name, *pose)
-    dataset = HouseDataset(house.name, "folder", (house,))
-    check_starts([start], dataset, lambda _: f"{where}: --start {' '.join(map(str, pose))}")
-    return start
+    if pose is not None:
+        start = Start(house.name, *pose)
+        dataset = HouseDataset(house.name, "folder", (house,))
+        check_starts([start], dataset, lambda _: f"{where}: --start {' '.join(map(str, pose))}", ground_of=any_ground)
+        return start
+    if starts := sample_starts([house], 1, seed=seed):
+        return starts[0]
+    ground = any_ground(house.terrain)
+    road = ground & (house.terrain == ROAD)
+    cells = np.argwhere(road if np.any(road) else ground)
+    if not len(cells):
+        raise InputError(f"{where}: it has no traversable ground to start from; choose another one")
+    rng = np.random.default_rng(seed)
+    row, column = rng.choice(cells).tolist()
+    return Start(house.name, column, row, int(rng.integers(HEADINGS)))

@@ -21,7 +21,7 @@ from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset
-from dc2g_jax._src.readers.starts import Start
+from dc2g_jax._src.readers.starts import Start, why_no_start
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.runtime.progress import EpisodeProgress
@@ -72,11 +72,13 @@ def run_one_start(
 ) -> None:
     """Run the oracle and the planners from one start, print their results and write all files.
 
+    Where no goal can be reached, the planners explore until they give up, and the reason is printed.
+
     The sensing range comes from the options, not from the start. Figure, animation and recording are called `name`.
 
     Raises:
       InputError: a planner is unknown, the network or the output folder cannot be used, the step limit is less than 1,
-        or not even the oracle reaches a goal within it.
+        or not even the oracle reaches a goal in reach within it.
     """
     start = start._replace(sensing_range=options.sensing_range)
     check_planners(options.planner)
@@ -91,6 +93,8 @@ def run_one_start(
     planners = list(dict.fromkeys(("oracle", *options.planner)))
     results = EpisodeTable(out / "episodes.csv").run(runner, [start], planners, network)
     _print_results(results, house, runner.step_limit)
+    if results[0].oracle_steps is None:
+        print(why_no_start(start, house))
     _draw(out, name, options, house, {result.planner: result for result in results}, rules, network)
     print_files(out)
 
@@ -106,8 +110,11 @@ def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -
     for result in results:
         outcome = "reached the goal" if result.success else f"stopped at the limit of {limit} steps"
         if not result.success and result.mode == MODE_NAMES[GAVE_UP]:
-            outcome = "gave up: nothing left to explore"
-        extra = "knows the map" if result.planner == "oracle" else f"{result.extra:.1f} %"
+            reachable = result.oracle_steps is not None
+            outcome = f"gave up: {'nothing left to explore' if reachable else 'no door can be reached from this start'}"
+        extra = "" if result.extra is None else f"{result.extra:.1f} %"
+        if result.planner == "oracle":
+            extra = "knows the map"
         rows.append((result.planner, f"{result.steps:,}", extra, outcome))
     print(text_table(("planner", "steps", "extra steps", "outcome"), rows))
 

@@ -29,8 +29,9 @@ def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:
 
 
 def end_of_colors(costs: Sequence[Float[np.ndarray, "..."]]) -> float:
-    """The cost at the end of the colors, at least 1: 99 % of all these costs are lower."""
+    """The cost at the end of the colors, at least 1: 99 % of all these costs that are finite are lower."""
     together = np.concatenate(costs) if costs else np.zeros(0)
+    together = together[np.isfinite(together)]
     return max(float(np.percentile(together, 99)), 1.0) if together.size else 1.0
 
 
@@ -39,7 +40,9 @@ def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: F
     shown = []
     for frames in frames_by_planner.values():
         if frames.cost_to_go is not None and frames.in_cells:
-            ground = frames.seen[-1] & TRAVERSABLE[house.terrain] & np.isfinite(exact)
+            ground = frames.seen[-1] & TRAVERSABLE[house.terrain]
+            if frames.to_goal[0] >= 0:
+                ground &= np.isfinite(exact)
             shown += [exact[ground], frames.cost_to_go[-1][ground], frames.cost_to_go[0][ground & frames.seen[0]]]
     return end_of_colors(shown)
 

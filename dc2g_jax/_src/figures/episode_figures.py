@@ -290,7 +290,10 @@ def plot_trajectories(path: str | Path, house: House, result_by_planner: Mapping
     rows = -(-len(result_by_planner) // columns)
     titles = {}
     for planner, result in result_by_planner.items():
-        extra = "" if planner == "oracle" else f" ({result.extra:+.0f} %)"
+        if result.extra is None:
+            extra = ", no door in reach"
+        else:
+            extra = "" if planner == "oracle" else f" ({result.extra:+.0f} %)"
         titles[planner] = f"{planner_style(planner).label}: {result.steps} steps{extra}"
     entries = _entries(house.terrain, "start", "robot", "goal")
     sheet = empty_sheet(house.terrain.shape, rows, columns, entries, list(titles.values()))

@@ -226,7 +226,7 @@ def plot_results(
     Episodes are points, in a lane for each planner with a bar at their mean.
 
     Args:
-      results: episodes of any number of planners; those of the oracle are left out.
+      results: episodes of any number of planners. Those of the oracle, or without a goal in reach, are left out.
       path: output path without ending.
       group_by_house: house -> group; houses are ordered by group and name. `None` for a single group.
       title: description of the episodes.
@@ -235,11 +235,11 @@ def plot_results(
       The files written: PNG, SVG and PDF.
 
     Raises:
-      InputError: no planner but the oracle.
+      InputError: none are left.
     """
     extra: dict[str, dict[str, list[float]]] = {}
     for result in results:
-        if result.planner != "oracle":
+        if result.planner != "oracle" and result.extra is not None:
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
     if not extra:
         raise InputError("no planner to compare with the oracle: give episodes of another one as well")

@@ -65,18 +65,30 @@ def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return np.asarray(connected_to_goal(terrain) & ground)
 
 
+def any_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Traversable cells except front doors, whether or not a front door can be reached from them."""
+    return TRAVERSABLE[terrain] & (terrain != FRONT_DOOR)
+
+
 def start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Cells from which an episode can start, of any ground."""
-    return connected_to_goal(terrain) & (terrain != FRONT_DOOR)
+    """Cells of any ground from which a front door can be reached, except front doors."""
+    return connected_to_goal(terrain) & any_ground(terrain)
 
 
-def check_starts(starts: Sequence[Start], dataset: HouseDataset, where: Callable[[int], str] | None = None) -> None:
+def check_starts(
+    starts: Sequence[Start],
+    dataset: HouseDataset,
+    where: Callable[[int], str] | None = None,
+    *,
+    ground_of: Callable[[UInt8[np.ndarray, "h w"]], Bool[np.ndarray, "h w"]] = start_ground,
+) -> None:
     """Check that an episode can start at each of these poses.
 
     Args:
       starts: first poses.
       dataset: the houses.
       where: begins the message about a start, given its number from 0.
+      ground_of: cells of a map to start from; `any_ground` also allows starts from which no goal can be reached.
 
     Raises:
       InputError: a house is unknown, or a start is off the map, on a goal, or where no goal can be reached. The message
@@ -87,24 +99,23 @@ def check_starts(starts: Sequence[Start], dataset: HouseDataset, where: Callable
         try:
             if start.house not in grounds:
                 house = dataset.house(start.house)
-                grounds[house.name] = house, start_ground(house.terrain)
+                grounds[house.name] = house, ground_of(house.terrain)
             house, ground = grounds[start.house]
             height, width = ground.shape
             on_map = 0 <= start.x < width and 0 <= start.y < height
             if not (on_map and ground[start.y, start.x] and 0 <= start.heading < HEADINGS):
-                raise InputError(_why_no_start(start, house, ground))
+                raise InputError(why_no_start(start, house))
         except InputError as error:
             place = where(number) if where else f"start {number} in {start.house}"
             raise InputError(f"{place}: {error}") from None
 
 
-def _why_no_start(start: Start, house: House, ground: Bool[np.ndarray, "h w"]) -> str:
-    """The reason why no episode can start at a pose, and the nearest cell in which one can."""
-    if reason := why_no_path(house.terrain):
-        return f"no episode can be run in {house.name}: {reason}"
+def why_no_start(start: Start, house: House) -> str:
+    """The reason why no goal can be reached from a pose, and the nearest cell from which one can."""
     if not 0 <= start.heading < HEADINGS:
         return f"there is no heading {start.heading}; give 0 (right), 1 (down), 2 (left) or 3 (up)"
-    height, width = ground.shape
+    height, width = house.terrain.shape
+    no_path = why_no_path(house.terrain)
     cell = f"column {start.x}, row {start.y}"
     if not (0 <= start.x < width and 0 <= start.y < height):
         reason = f"{cell} is off the map of {width} x {height} cells"
@@ -113,9 +124,13 @@ def _why_no_start(start: Start, house: House, ground: Bool[np.ndarray, "h w"]) -
     elif not TRAVERSABLE[class_index]:
         name = CLASS_NAMES[class_index] if class_index else "unknown"
         reason = f"{cell} is {name!r}, which is not traversable"
+    elif no_path:
+        return f"no goal can be reached from {cell} in {house.name}: {no_path}"
     else:
         reason = f"no goal can be reached from {cell}"
-    rows, columns = np.nonzero(ground)
+    rows, columns = np.nonzero(any_ground(house.terrain) if no_path else start_ground(house.terrain))
+    if not len(rows):
+        return f"no episode can be run in {house.name}: {no_path}"
     nearest = int(np.argmin((columns - start.x) ** 2 + (rows - start.y) ** 2))
     return f"{reason}; the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"
 
@@ -193,8 +208,8 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
     Other columns are ignored.
 
     Raises:
-      InputError: the file cannot be read or lacks a column, a number is invalid, a house is unknown, no goal can be
-        reached from a start (the message names the line), or the table holds episodes of several planners.
+      InputError: the file cannot be read or lacks a column, a number is invalid, a house is unknown, a start is not on
+        the ground of its house (the message names the line), or the table holds episodes of several planners.
     """
     path = Path(path)
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
@@ -209,7 +224,7 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
         x, y, heading = (number(column, 0, most) for column, most in _REQUIRED_NUMBERS.items())
         starts.append(Start(row["house"], x, y, heading, *ranges))
         lines.append(line)
-    check_starts(starts, dataset, lambda number: f"{path}: line {lines[number]}")
+    check_starts(starts, dataset, lambda number: f"{path}: line {lines[number]}", ground_of=any_ground)
     planners = sorted(of_planners)
     if len(planners) > 1:
         raise InputError(

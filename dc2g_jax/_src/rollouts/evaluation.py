@@ -17,15 +17,16 @@ from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
-from dc2g_jax._src.grid.ground import connected_to_goal, longest_way
+from dc2g_jax._src.grid.ground import connected_to_goal, largest_piece, longest_way
 from dc2g_jax._src.grid.poses import Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.terrain import TRAVERSABLE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Oracle, PlannerLike, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset, stack_worlds
-from dc2g_jax._src.readers.starts import Start, check_starts, sample_starts, usable_houses
+from dc2g_jax._src.readers.starts import Start, any_ground, check_starts, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.results import EpisodeResult, Results, action_letters
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Trajectories, rollout
 from dc2g_jax._src.rollouts.statistics import extra_steps
@@ -63,7 +64,8 @@ def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> tuple[In
 
 def _default_step_limit(terrain: UInt8[np.ndarray, "h w"]) -> int:
     """Actions that a map may need by its size, its ground, and its longest way to a goal."""
-    ground = int(np.sum(connected_to_goal(terrain)))
+    to_goal = connected_to_goal(terrain)
+    ground = max(int(np.sum(to_goal)), int(np.sum(largest_piece(TRAVERSABLE[terrain] & ~to_goal))))
     return max(min(terrain.size // _CELLS_A_STEP, ground), _STEPS_A_CELL_OF_WAY * longest_way(terrain))
 
 
@@ -87,8 +89,8 @@ class Runner:
       dataset: the houses.
       settings: rules by sensing range.
       step_limit: actions after which an episode ends without success; `None` for the most that any map needs: an action
-        for every five cells, but no more than for every cell of ground that leads to a goal; four for every cell of its
-        longest way to a goal; 500, as on the published maps.
+        for every five cells, but no more than for every cell of ground that leads to a goal, or of the largest ground
+        cut off from all goals; four for every cell of its longest way to a goal; 500, as on the published maps.
       progress: called as `progress(planner, finished, episodes)` between calls of the device.
 
     Attributes:
@@ -120,7 +122,7 @@ class Runner:
         check_number("step limit", step_limit, whole=True, least=1, hint="(--step-limit)")
         self.step_limit = step_limit
         self._progress = progress
-        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], np.ndarray] = {}
+        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], list[int | None]] = {}
 
     def rules(self, start: Start) -> Rules:
         """The rules of an episode.
@@ -143,7 +145,7 @@ class Runner:
           InputError: no episode can start at one of the starts, the houses differ in size, or the planner lacks a part
             of the protocol, or gives up because its estimator estimates NaN.
         """
-        check_starts(starts, self._dataset)
+        check_starts(starts, self._dataset, ground_of=any_ground)
         sizes = {self._size[start.house] for start in starts}
         if len(sizes) != 1:
             raise InputError(f"starts in houses of {len(sizes)} sizes; give starts in houses of one size")
@@ -178,7 +180,7 @@ class Runner:
     def run(
         self, starts: Sequence[Start], planners: Planners, network: Estimator | Mapping[str, Estimator] | None = None
     ) -> list[EpisodeResult]:
-        """Run planners from every start.
+        """Run planners from every start. Where no goal can be reached, the robot explores until it gives up.
 
         Args:
           starts: first poses; each may have its own ranges.
@@ -190,15 +192,15 @@ class Runner:
 
         Raises:
           InputError: no episode can start at one of the starts, a planner is unknown or was made for another field of
-            view, another planner is called `oracle`, the oracle does not reach a goal from a start within the step
-            limit, or a start has an expanding range and the rules have no frontier-expanding kernel.
+            view, another planner is called `oracle`, the oracle does not reach a goal in reach within the step limit,
+            or a start has an expanding range and the rules have no frontier-expanding kernel.
         """
         named = by_name(planners, network)
         if named.get("oracle", "oracle") != "oracle":
             raise InputError(
                 "planner oracle: the name is reserved for the oracle that all are compared with; use another"
             )
-        check_starts(starts, self._dataset)
+        check_starts(starts, self._dataset, ground_of=any_ground)
         together: dict[tuple[Any, ...], list[int]] = collections.defaultdict(list)
         for number, start in enumerate(starts):
             together[start.sensing_range, start.expanding_range, self._size[start.house]].append(number)
@@ -209,22 +211,24 @@ class Runner:
             oracle: Trajectories | None = None
             if "oracle" in named or (rules, chosen) not in self._oracle_steps:
                 oracle = self.trajectories(Oracle(), rules, chosen, "oracle")
-                if not np.all(oracle.success):
+                too_far = ~oracle.success & (oracle.mode != GAVE_UP)
+                if np.any(too_far):
                     raise InputError(
-                        f"{chosen[int(np.argmin(oracle.success))]}: even with the map known no goal is reached within "
+                        f"{chosen[int(np.argmax(too_far))]}: even with the map known no goal is reached within "
                         f"{self.step_limit} actions; give a larger step limit, or start elsewhere"
                     )
-                self._oracle_steps[rules, chosen] = oracle.steps
+                reached = zip(oracle.steps.tolist(), oracle.success, strict=True)
+                self._oracle_steps[rules, chosen] = [steps if success else None for steps, success in reached]
             for name, source in named.items():
                 done = oracle if name == "oracle" else None
                 if done is None:
                     done = self.trajectories(_made(name, source, rules), rules, chosen, name)
-                steps = zip(done.steps.tolist(), self._oracle_steps[rules, chosen].tolist(), strict=True)
+                steps = zip(done.steps.tolist(), self._oracle_steps[rules, chosen], strict=True)
                 for row, (number, (taken, shortest)) in enumerate(zip(numbers, steps, strict=True)):
+                    extra = None if shortest is None else extra_steps(taken, shortest)
                     results[name, number] = EpisodeResult(
                         *chosen[row][:4], rules.sensing.radius, rules.expanding_range, name, bool(done.success[row]),
-                        taken, shortest, extra_steps(taken, shortest), MODE_NAMES[done.mode[row]],
-                        action_letters(done, row),
+                        taken, shortest, extra, MODE_NAMES[done.mode[row]], action_letters(done, row),
                     )  # fmt: skip
         return [results[name, number] for name in named for number in range(len(starts))]
 
@@ -345,6 +349,7 @@ def evaluate(
     if starts is None:
         houses = usable_houses(dataset, split, instead="use another split")
         starts = sample_starts(houses, starts_per_house, seed=seed)
+    check_starts(starts, dataset)
     if sensing_range is not None:
         starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
     told = progress if callable(progress) else EpisodeProgress(leave=False) if progress else None

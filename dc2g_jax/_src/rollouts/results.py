@@ -35,8 +35,8 @@ class EpisodeResult(NamedTuple):
       planner: name of the planner.
       success: whether the robot reached a goal within the step limit.
       steps: number of actions.
-      oracle_steps: number of actions of the oracle from the same start.
-      extra: extra steps beyond the oracle's, in percent.
+      oracle_steps: number of actions of the oracle from the same start, `None` where no goal can be reached.
+      extra: extra steps beyond the oracle's, in percent; `None` where no goal can be reached.
       mode: plan mode of the last decision.
       actions: the actions as letters F, L, R; empty if the planner gave up at once.
     """
@@ -50,8 +50,8 @@ class EpisodeResult(NamedTuple):
     planner: str
     success: bool
     steps: int
-    oracle_steps: int
-    extra: float
+    oracle_steps: int | None
+    extra: float | None
     mode: Mode
     actions: str = ""
 
@@ -67,7 +67,10 @@ class EpisodeResult(NamedTuple):
             raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
         if self.actions and len(self.actions) != self.steps:
             raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
-        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
+        if self.oracle_steps is None or self.extra is None:
+            if self.success or self.oracle_steps != self.extra:
+                raise ValueError("oracle_steps and extra must both be given, or both be empty without success")
+        elif not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
             raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
 
 
@@ -125,11 +128,15 @@ class Results(tuple[EpisodeResult, ...]):
 def tabulate(
     results: Iterable[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str] | None = None
 ) -> Table:
-    """Summary by planner and group of houses; the last of the groups holds all episodes."""
+    """Summary by planner and group of houses; the last of the groups holds all episodes.
+
+    Episodes whose start no goal can be reached from are left out.
+    """
     cells: dict[str, dict[str, list[EpisodeResult]]] = {}
     for one in results:
         for group in {(group_by_house or {}).get(one.house, groups[-1]), groups[-1]}:
-            cells.setdefault(one.planner, {}).setdefault(group, []).append(one)
+            if one.extra is not None:
+                cells.setdefault(one.planner, {}).setdefault(group, []).append(one)
     return {
         planner: {
             group: summarize(*zip(*((one.extra, one.success, one.house) for one in own[group]), strict=True))

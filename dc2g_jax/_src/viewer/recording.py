@@ -252,7 +252,8 @@ def record_frames(
     estimates = {label: frames_by_planner[label].cost_to_go is not None for label in result_by_planner}
     blueprint = _layout(house.terrain.shape, estimates)
     stream = open_recording(path, name=f"{house.name} from {place}", blueprint=blueprint)
-    about = f"**{house.name}** from {place}; the oracle takes {first.oracle_steps} steps"
+    oracle = "no door can be reached" if first.oracle_steps is None else f"the oracle takes {first.oracle_steps} steps"
+    about = f"**{house.name}** from {place}; {oracle}"
     _send_house(stream, house, exact, scale, about)
     styles = planner_styles(result_by_planner)
     for label, result in result_by_planner.items():

@@ -50,11 +50,14 @@ def main(options: Options) -> None:
         results = [result for result in results if result.planner in options.planner]
     if not results:
         raise InputError(f"{options.episodes}: has no episode of {' or '.join(options.planner)}; give other --planner")
-    compared = {one.planner for one in results} != {"oracle"}
+    compared: dict[str, list[EpisodeResult]] = {}
+    for one in results:
+        if one.planner != "oracle" and one.extra is not None:
+            compared.setdefault(_ranges_of(one), []).append(one)
     if not compared and not options.house:
         raise InputError(
-            f"{options.episodes}: extra steps are counted from the oracle's; give another --planner as well, or a "
-            "--house to draw the oracle's paths in"
+            f"{options.episodes}: extra steps are counted from the oracle's to a door; give another --planner as well, "
+            "or a --house to draw paths in"
         )
     published = (
         {start.house: group for start, group, _ in published_episodes()} if dataset.source == "published" else {}
@@ -67,11 +70,8 @@ def main(options: Options) -> None:
         if name not in group_by_house:
             raise InputError(f"{options.episodes}: has no episode in {name}; give another --house")
     out = output_folder(options, "draw_episodes")
-    by_ranges: dict[str, list[EpisodeResult]] = {}
-    for one in results:
-        by_ranges.setdefault(_ranges_of(one), []).append(one)
-    for ranges, some in by_ranges.items() if compared else ():
-        name = f"houses{ranges if len(by_ranges) > 1 else ''}"
+    for ranges, some in compared.items():
+        name = f"houses{ranges if len(compared) > 1 else ''}"
         plot_results(some, out / name, group_by_house, f"{some[0].range}-cell sensing")
     by_start: dict[str, dict[str, EpisodeResult]] = {}
     for one in results:

@@ -13,6 +13,8 @@ from dc2g_jax._src.cli.common import FieldOfViewOption, PlannersOption, Settings
 from dc2g_jax._src.cli.episodes import EpisodeTable, NetworksOptions
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.files.tables import text_table
+from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.readers.starts import read_starts
@@ -57,12 +59,24 @@ def main(options: Options) -> None:
     digest = hashlib.sha256(json.dumps(starts).encode()).hexdigest()
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     table = EpisodeTable(out / "episodes.csv")
-    summaries = {}
+    summaries, without_door = {}, []
     for planner, source in by_name(options.planner, network).items():
-        # Two columns of each shard, since all results of long runs would not fit in memory.
+        # Few columns of each shard, since all results of long runs would not fit in memory.
         shards = table.shards(runner, starts, {planner: source})
-        columns = [np.array([(one.extra, one.success) for one in shard]) for shard in shards]
-        summaries[planner] = summarize(*np.concatenate(columns).T)
+        columns = [
+            np.array([(one.extra, one.success, one.mode == MODE_NAMES[GAVE_UP], one.steps) for one in shard], float)
+            for shard in shards
+        ]
+        extra, success, gave_up, steps = np.concatenate(columns).T
+        no_door = np.isnan(extra)  # `None` in the results
+        if not np.all(no_door):
+            summaries[planner] = summarize(extra[~no_door], success[~no_door])
+        if np.any(no_door):
+            without_door.append((planner, f"{100 * np.mean(gave_up[no_door]):.1f}", f"{np.mean(steps[no_door]):.1f}"))
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
-    print(as_text(summaries))
+    if summaries:
+        print(as_text(summaries))
+    if without_door:
+        print(f"no door can be reached from {np.sum(no_door)} of these starts, left out of extra steps and success:")
+        print(text_table(("planner", "gave up %", "steps: mean"), without_door))
     print(f"Written to {out / 'episodes.csv'}")
