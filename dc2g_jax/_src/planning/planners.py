@@ -401,6 +401,10 @@ class DC2G(Planner):
     poses that do. So exploration always ends, under all rules. (The `complete` rules have no other poses; with the
     `reference` rules alone, a robot can move back and forth forever between two poses that reveal nothing.)
 
+    Unlike this planner, the authors' published code drops no poses, and takes the first of equally good cells in raster
+    order, not the nearest. Its robot goes to that cell in any heading. There, it turns to the frontier-expanding
+    heading that is fewest left turns away, and left if it has one already.
+
     The estimator is asked whenever something new has been seen.
 
     Attributes:

@@ -90,7 +90,7 @@ def _complete_rules(sensing: Kernel) -> Rules:
 
 @functools.cache
 def reference_rules(sensing_range: int, expanding_range: int | None = None) -> Rules:
-    """The rules of the authors' published code, which reproduce its actions exactly.
+    """The rules of the authors' published code: `Frontier` with them repeats its actions exactly, `DC2G` does not.
 
     Args:
       sensing_range: range of the 90-degree field of view, in cells.
