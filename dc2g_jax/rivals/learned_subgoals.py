@@ -1,7 +1,5 @@
 """Learning over subgoals: the order of frontiers with the least expected cost, by Bellman's recursion."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float
@@ -79,8 +77,6 @@ class LearnedSubgoals(ChoosingPlanner):
     estimator: Estimator = struct.field(kw_only=True)
     replan_fraction: float = struct.field(pytree_node=False, default=1.0)
     failure: float = struct.field(pytree_node=False, default=2.0)
-    #: With more, the long program of a choice would be compiled for several batch sizes.
-    batch_per_core: ClassVar[int] = 8
 
     def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """The expected cost at the best cell of each piece of the frontier."""

@@ -86,14 +86,12 @@ class Memory(NamedTuple):
       visited: cells where the robot has been.
       hidden: state of the recurrent layer.
       logits: preference for each block at the last choice.
-      pose: pose of the robot then.
       notes: what a learner keeps.
     """
 
     visited: Board
     hidden: Float[Array, "unit *batch"]
     logits: Float[Array, "block *batch"]
-    pose: Pose
     notes: Any = ()
 
 
@@ -190,13 +188,21 @@ def policy_inputs(belief: Belief, situation: Situation, sensing: Kernel) -> Poli
     y = belief.pose.y + ahead * ahead_y + right * right_y
 
     # The nearest candidate of each block: of equal ones, the first.
+    none = jnp.iinfo(jnp.int32).max
     eligible = poses.unpack(situation.candidates, width) & (situation.distance >= 0)
-    actions = jnp.where(eligible, situation.distance, jnp.iinfo(jnp.int32).max)
-    block = block_of_cells(belief.pose, height, width)
-    inside = block == jnp.arange(BLOCKS).reshape(-1, *(1,) * block.ndim)
-    within = jnp.where(inside, jnp.min(actions, axis=0), jnp.iinfo(jnp.int32).max).reshape(BLOCKS, -1, *block.shape[2:])
-    there_y, there_x = jnp.divmod(jnp.argmin(within, axis=1).astype(jnp.int32), width)
-    distance, present = jnp.min(within, axis=1), jnp.any(inside & jnp.any(eligible, axis=0), axis=(1, 2))
+    actions = jnp.where(eligible, situation.distance, none)
+    nearest, block = jnp.min(actions, axis=0), block_of_cells(belief.pose, height, width)
+    cell = jnp.arange(height * width, dtype=jnp.int32).reshape(height, width, *(1,) * batch)
+
+    def first_of_nearest(number: Array) -> tuple[Array, Array]:
+        """Actions to the nearest candidate of a block, and its cell."""
+        inside = jnp.where(block == number, nearest, none)
+        least = jnp.min(inside, axis=(0, 1))
+        return least, jnp.min(jnp.where(inside == least, cell, none), axis=(0, 1))
+
+    # A loop: fused, the block of each cell would be computed again for each of the blocks.
+    distance, there = jax.lax.map(first_of_nearest, jnp.arange(BLOCKS))
+    present, (there_y, there_x) = distance < none, jnp.divmod(there, width)
     gain = sensing.count_seen(frontiers.unseen(belief), belief.opaque, width)
     heading = jnp.argmin(at_cells(actions, there_x, there_y), axis=0)
     revealed = jnp.take_along_axis(at_cells(gain, there_x, there_y), heading[None], axis=0)[0]
@@ -204,6 +210,12 @@ def policy_inputs(belief: Belief, situation: Situation, sensing: Kernel) -> Poli
     around = [shares(there_x, there_y, np.full(BLOCKS, radius)) for radius in _RADII]
     subgoals = jnp.concatenate([*around, jnp.stack(numbers, axis=1).astype(jnp.float32)], axis=1)
     return PolicyInputs(shares(x, y, _SIDES // 2), jnp.where(present[:, None], subgoals, 0), present)
+
+
+def _visiting(belief: Belief, memory: Memory) -> Memory:
+    """The memory of a robot that has visited the cell where it is."""
+    here = bitboard.single(belief.pose.x, belief.pose.y, *memory.visited.shape[:2])
+    return memory._replace(visited=memory.visited | here)
 
 
 @struct.dataclass
@@ -231,7 +243,7 @@ class RecurrentPolicy(ChoosingPlanner):
         """Nothing is reachable, visited or remembered before the first observation."""
         nothing, zero = jnp.zeros_like(world.goals), jnp.zeros(world.goals.shape[2:], jnp.int32)
         hidden, logits = (jnp.zeros((size, *zero.shape), jnp.float32) for size in (RecurrentNetwork.UNITS, BLOCKS))
-        return super().init(world)._replace(estimator=Memory(nothing, hidden, logits, Pose(zero, zero, zero)))
+        return super().init(world)._replace(estimator=Memory(nothing, hidden, logits))
 
     def prefer(self, seen: PolicyInputs, memory: Memory) -> Memory:
         """The memory after a look at the inputs, with the preference for each block."""
@@ -249,19 +261,17 @@ class RecurrentPolicy(ChoosingPlanner):
 
     def prepare(self, belief: Belief, situation: Situation) -> Memory:
         """Look around before a choice."""
-        seen = policy_inputs(belief, situation, self.rules.sensing)
-        return self.prefer(seen, situation.estimator)._replace(pose=belief.pose)
+        memory = _visiting(belief, situation.estimator)
+        seen = policy_inputs(belief, situation._replace(estimator=memory), self.rules.sensing)
+        return self.prefer(seen, memory)
 
     def score(self, belief: Belief, situation: Situation) -> PoseValues:
-        """Minus the preference for the pose's block at the last choice."""
-        memory = situation.estimator
-        block = block_of_cells(memory.pose, belief.height, belief.width)
-        flat = jnp.take_along_axis(memory.logits, block.reshape(-1, *block.shape[2:]), axis=0)
+        """Minus the preference for the pose's block."""
+        block = block_of_cells(belief.pose, belief.height, belief.width)
+        flat = jnp.take_along_axis(situation.estimator.logits, block.reshape(-1, *block.shape[2:]), axis=0)
         return -jnp.broadcast_to(flat.reshape(block.shape), (HEADINGS, *block.shape))
 
-    def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:
-        """See `ChoosingPlanner.assess`; scores are those of the last choice. The robot's cell has been visited."""
-        memory = state.estimator
-        here = bitboard.single(belief.pose.x, belief.pose.y, *memory.visited.shape[:2])
-        memory = memory._replace(visited=memory.visited | here)
-        return super().assess(belief, state._replace(estimator=memory))
+    def conclude(self, belief: Belief, state: Chosen, looked: Any, ask: Any) -> tuple[Assessment, Chosen]:
+        """See `ChoosingPlanner.conclude`. The robot's cell has been visited."""
+        assessment, state = super().conclude(belief, state, looked, ask)
+        return assessment, state._replace(estimator=_visiting(belief, state.estimator))

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -35,6 +36,8 @@ class Regions(NamedTuple):
 
     def score(self, values: Float[Array, "region *batch"], belief: Belief) -> PoseValues:
         """Scores of all poses: the value of the region on its best cell, infinity elsewhere."""
+        # Without the barrier, XLA would compute the values again for every cell.
+        values = jax.lax.optimization_barrier(values)
         score = jnp.full((belief.height, belief.width, *belief.pose.x.shape), jnp.inf)
         rows, columns = (
             index.reshape(*index.shape, *(1 for _ in belief.pose.x.shape))

@@ -1,7 +1,5 @@
 """Rollouts on samples: search for goals in likely places, in imagination, and do what found them soonest."""
 
-from typing import ClassVar
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -88,8 +86,6 @@ class SampledGoals(ChoosingPlanner):
     samples: int = struct.field(pytree_node=False, default=16)
     temperature: float = struct.field(pytree_node=False, default=4.0)
     failure: float = struct.field(pytree_node=False, default=2.0)
-    #: With more, the long program of a choice would be compiled for several batch sizes.
-    batch_per_core: ClassVar[int] = 8
 
     def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """The mean cost of the simulations, at the best cell of each piece of the frontier."""

@@ -60,6 +60,7 @@ def moment_of(seed, policy):
     distance = oracle.distances_from(seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES), pose)
     candidates = explored(belief, reachable)
     visited = seen & (np.random.default_rng(seed).random(seen.shape) < 0.3)
+    visited[pose[1], pose[0]] = True
     memory = policy.init(belief).estimator._replace(visited=bitboard.pack(jnp.asarray(visited)))
     situation = Situation(reachable, candidates, jnp.asarray(distance), candidates, memory)
     candidates = np.asarray(poses.unpack(candidates, belief.width))

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
-from dc2g_jax._src.estimation.estimators import Estimates
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
@@ -141,7 +140,7 @@ class Bounded(Planner):
             return self.planner.look(belief, state.planner)
         return jnp.zeros(belief.pose.x.shape, bool), ()
 
-    def ask(self, belief: Belief, state: BoundedState) -> Estimates:
+    def ask(self, belief: Belief, state: BoundedState) -> Any:
         """The answer that the wrapped planner gets."""
         if asks(self.planner):
             return self.planner.ask(belief, state.planner)

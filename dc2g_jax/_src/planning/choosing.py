@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax._src.estimation.estimators import Estimator, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
@@ -16,6 +16,7 @@ from dc2g_jax._src.grid.squares import corner_sums, in_rectangle
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import (
+    Ask,
     Assessment,
     Planner,
     choice_is_due,
@@ -25,6 +26,7 @@ from dc2g_jax._src.planning.planners import (
     reachable_cells,
 )
 from dc2g_jax._src.planning.rules import Rules
+from dc2g_jax._src.runtime.programs import apart
 
 #: Scores of poses, or values of them.
 PoseValues = Float[Array, "heading h w *batch"]
@@ -60,12 +62,14 @@ class Chosen(NamedTuple):
       reachable: reachable cells at the last step.
       subgoals: poses of the lowest score when they were chosen; the plan leads to the nearest.
       chosen_from: cells that had been observed then.
+      score: lowest score of a candidate on every cell then; infinity without candidates.
       estimator: state of the estimator, if there is one.
     """
 
     reachable: Board
     subgoals: PoseSet
     chosen_from: Board
+    score: Float[Array, "h w *batch"]
     estimator: Any
 
 
@@ -84,7 +88,7 @@ def unknown_share(belief: Belief, radius: int) -> Float[Array, "h w *batch"]:
 
 def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, "outcomes h w *batch"]:
     """The estimated costs-to-go of every cell, in cells, for an estimator that reads the whole map."""
-    return estimator.estimate(observed_terrain(belief), state).astype(jnp.float32)
+    return apart(estimator.estimate, observed_terrain(belief), state).astype(jnp.float32)
 
 
 @struct.dataclass
@@ -101,8 +105,7 @@ class ChoosingPlanner(Planner):
 
     rules: Rules = struct.field(pytree_node=False)
     replan_fraction: float = struct.field(pytree_node=False, default=math.inf)
-    #: A choice is made for some robots at a time.
-    batch_per_core: ClassVar[int] = 32
+    batch_per_core: ClassVar[int] = 8
 
     def score(self, belief: Belief, situation: Situation) -> PoseValues:
         """Score of every pose; the lowest of a candidate wins. Values of other poses do not matter."""
@@ -115,37 +118,39 @@ class ChoosingPlanner(Planner):
 
     def init(self, world: World) -> Chosen:
         """Nothing is reachable before the first observation."""
-        nothing = jnp.zeros_like(world.traversable)
-        estimator = getattr(self, "estimator", None)
-        return Chosen(nothing, every_heading(nothing), nothing, () if estimator is None else estimator.init(world))
+        nothing, estimator = jnp.zeros_like(world.traversable), getattr(self, "estimator", None)
+        score = jnp.full((world.height, world.width, *nothing.shape[2:]), jnp.inf)
+        state = () if estimator is None else estimator.init(world)
+        return Chosen(nothing, every_heading(nothing), nothing, score, state)
 
-    def _situation(self, belief: Belief, reachable: Board, candidates: PoseSet, state: Chosen) -> Situation:
-        distance = search.distances(belief.pose, reachable, belief.width)
-        return Situation(reachable, candidates, distance, state.subgoals & candidates, state.estimator)
-
-    def _choose(self, inputs: tuple[Belief, Board, PoseSet], state: Chosen) -> Chosen:
-        """The poses of the lowest score."""
-        belief, reachable, candidates = inputs
-        situation = self._situation(belief, reachable, candidates, state)
-        situation = situation._replace(estimator=self.prepare(belief, situation))
-        eligible = poses.unpack(candidates, belief.width) & (situation.distance >= 0)
-        score = jnp.where(eligible, self.score(belief, situation), jnp.inf)
-        lowest = jnp.min(score, axis=(0, 1, 2))
-        best = eligible & (score <= lowest + _ROUNDING * (1 + jnp.abs(lowest)))
-        return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen, estimator=situation.estimator)
-
-    def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:
-        """Head for the chosen pose, or for the goal. The scores are the current ones."""
+    def look(self, belief: Belief, state: Chosen) -> tuple[Bool[Array, "*batch"], Any]:
+        """Whether a choice is due; and what it is made from: reachable cells and candidates."""
         reachable = reachable_cells(belief, state.reachable)
         candidates = exploring_poses(belief, reachable, self.rules)
         due = choice_is_due(
             belief, reachable, candidates, state.subgoals, state.chosen_from, self.rules, self.replan_fraction
         )
-        state = update_where(self._choose, due, (belief, reachable, candidates), state)
+        return due, (due, reachable, candidates)
+
+    def ask(self, belief: Belief, state: Chosen) -> Chosen:
+        """The state after another choice: the poses of the lowest score."""
+        _, (_, reachable, candidates) = self.look(belief, state)
+        distance = search.distances(belief.pose, reachable, belief.width)
+        situation = Situation(reachable, candidates, distance, state.subgoals & candidates, state.estimator)
+        situation = situation._replace(estimator=self.prepare(belief, situation))
+        eligible = poses.unpack(candidates, belief.width) & (distance >= 0)
+        score = jnp.where(eligible, apart(self.score, belief, situation), jnp.inf)
+        lowest = jnp.min(score, axis=(0, 1, 2))
+        best = eligible & (score <= lowest + _ROUNDING * (1 + jnp.abs(lowest)))
+        return Chosen(reachable, poses.pack(best), belief.seen, jnp.min(score, axis=0), situation.estimator)
+
+    def conclude(self, belief: Belief, state: Chosen, looked: Any, ask: Ask) -> tuple[Assessment, Chosen]:
+        """Head for the chosen pose, or for the goal. Candidates and scores are those of the choice."""
+        _, (due, reachable, candidates) = looked
+        state = update_where(ask, due, belief, state)
         plan = explore_or_finish(belief, reachable, state.subgoals & candidates, self.rules)
-        situation = self._situation(belief, reachable, candidates, state)
-        score = jnp.where(poses.unpack(candidates, belief.width), self.score(belief, situation), jnp.inf)
-        return Assessment(plan, reachable, candidates, jnp.min(score, axis=0)), state._replace(reachable=reachable)
+        rated = candidates & bitboard.pack(state.score < jnp.inf)
+        return Assessment(plan, reachable, rated, state.score), state._replace(reachable=reachable)
 
     def revised(self, state: Chosen, changed: Board) -> Chosen:
         """The state without ground and choice: both can be lost."""

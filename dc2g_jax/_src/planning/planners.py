@@ -78,8 +78,8 @@ class Assessment:
     penalty: Float[Array, "h w *batch"] | None = None
 
 
-#: Gives the estimator's answer for a belief and a planner's state.
-Ask = Callable[[Belief, Any], Estimates]
+#: The answer to a planner that asks, for a belief and its state: arrays, batch axes last.
+Ask = Callable[[Belief, Any], Any]
 
 
 class Planner:
@@ -90,13 +90,13 @@ class Planner:
 
     - `plan`, the next action;
     - `assess`, the same with its inputs, for figures, recordings and `OnlinePlanner`;
-    - `look`, `ask` and `conclude`, for a planner that asks an estimator now and then. A rollout on a CPU runs each
-      robot by itself until it asks, then asks for all robots together: a network needs less time per map in larger
-      batches, and everything else is faster for a single robot.
+    - `look`, `ask` and `conclude`, for a planner that asks now and then, such as an estimator. A rollout on a CPU runs
+      each robot by itself until it asks, then asks for all robots together: a network or a choice needs less time per
+      map in larger batches, and everything else is faster for a single robot.
 
     Attributes:
-      batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
-        network.
+      batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for
+        what is asked.
       knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
         takes what the estimator takes.
     """
@@ -121,11 +121,11 @@ class Planner:
         return self.conclude(belief, state, self.look(belief, state), self.ask)
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
-        """Whether the estimator is asked, and what else the decision depends on but its answer."""
+        """Whether the planner asks, and what else the decision depends on but the answer."""
         raise NotImplementedError("a planner needs a method plan")
 
-    def ask(self, belief: Belief, state: Any) -> Estimates:
-        """The estimator's answer."""
+    def ask(self, belief: Belief, state: Any) -> Any:
+        """The answer, such as an estimator's: arrays, batch axes last."""
         raise NotImplementedError("a planner with a method look needs a method ask")
 
     def conclude(self, belief: Belief, state: Any, looked: Any, ask: Ask) -> tuple[Assessment, Any]:
@@ -135,7 +135,7 @@ class Planner:
           belief: what the robot knows.
           state: state of the planner.
           looked: the result of `look`.
-          ask: `(belief, state) ->` the estimator's answer.
+          ask: `(belief, state) ->` the answer.
         """
         raise NotImplementedError("a planner with a method look needs a method conclude")
 

@@ -253,7 +253,8 @@ def _alone(
         belief, planner_state = jax.tree.map(
             lambda leaf: jnp.moveaxis(leaf[..., 0], 0, -1), (state.slots.belief, state.slots.planner_state)
         )
-        answers = jnp.moveaxis(planner.ask(belief, planner_state), -1, 0)[..., None]
+        answers = planner.ask(belief, planner_state)
+        answers = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0)[..., None], answers)
         return *one_operation(every_turn, state, looked, answers), asked + 1
 
     def unfinished(carry: tuple[_State, Any, Array]) -> Bool[Array, ""]:
