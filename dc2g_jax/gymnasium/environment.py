@@ -27,21 +27,14 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 from jaxtyping import Array, Float, Int, UInt8
-from PIL import Image, ImageDraw
 
 from dc2g_jax.datasets import HouseDataset, Start, check_starts, open_dataset, usable_houses, why_no_episode
-from dc2g_jax.environments import FrontDoor, Observation, Params, State, make_env, observe
-from dc2g_jax.grid import CLASS_NAMES, FIGURE_RGB, FORWARD, HEADINGS, Pose, make_pose
+from dc2g_jax.environments import FrontDoor, Observation, Params, State, image, make_env
+from dc2g_jax.grid import CLASS_NAMES, HEADINGS, Pose, make_pose
 from dc2g_jax.runtime import InputError, check_name, check_number, jit
 
-#: Approximate length of the longer side of a rendered frame, pixels.
-_FRAME_SIDE = 400
-
-#: Color of the robot in a frame, RGB; no class has it.
-RENDERED_ROBOT_COLOR = (240, 228, 66)
-
-#: Least half-length of the robot in a frame, pixels.
-_RENDERED_ROBOT_RADIUS = 9
+#: Pixels of a picture: its longer side, about; the side of a cell and the length of the robot, at least.
+_PICTURE, _CELL, _ROBOT = 400, 4, 18
 
 #: The process that imported this module, and with it JAX.
 _IMPORTED_BY = os.getpid()
@@ -53,6 +46,8 @@ _ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
 class _Robots:
     """Robots in separate episodes, each with its own series of random ones: what both environments share.
 
+    The next episode begins where one has ended if `autoreset`.
+
     Attributes:
       space: space of the observations of one robot.
       keys: next key of each series; `None` before the first episodes.
@@ -63,6 +58,7 @@ class _Robots:
         self,
         count: int,
         render_mode: str | None,
+        autoreset: bool,
         dataset: str | os.PathLike[str] | HouseDataset | None = None,
         split: str = "train",
         cells: int = 50,
@@ -76,7 +72,7 @@ class _Robots:
         self._dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset, cells=cells)
         environment, self._params = make_env(dataset=self._dataset, split=split, **options)
         # Without default parameters, so that equal sensing shares programs.
-        self._environment = FrontDoor(environment.sensing)
+        self._environment = FrontDoor(environment.sensing, autoreset=autoreset)
         self._split = split
         self._houses = np.array([house.name for house in usable_houses(self._dataset, split)], object)
         width, height = self._params.worlds.width, self._params.worlds.height
@@ -112,32 +108,30 @@ class _Robots:
         else:
             self.keys, self.observations, self._states = _reset(self.keys, self._params, self._environment)
 
-    def act(
-        self, actions: Int[np.ndarray, "robots"], *, autoreset: bool
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray]:
-        """Take one action of every robot, and begin the next episode where one has ended, if `autoreset`.
+    def act(self, actions: Int[np.ndarray, "robots"]) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray]:
+        """Take one action of every robot.
 
         Returns:
           The last observations of the current episodes, rewards, `terminated` and `truncated`.
         """
-        actions = actions.astype(np.int32)
-        if autoreset:
-            self.keys, self.observations, self._states, rewards, info = _step(
-                self.keys, self._states, actions, self._params, self._environment
-            )
-            last, *ends = (info[name] for name in ("final_observation", "terminated", "truncated"))
-        else:
-            last, self._states, rewards, *ends = _advance(self._states, actions, self._params, self._environment)
-            self.observations = last
-        terminated, truncated = map(np.array, ends)
-        if not autoreset and np.any(terminated | truncated):
+        self.keys, self.observations, self._states, rewards, info = _step(
+            self.keys, self._states, actions.astype(np.int32), self._params, self._environment
+        )
+        terminated, truncated = np.array(info["terminated"]), np.array(info["truncated"])
+        if not self._environment.autoreset and np.any(terminated | truncated):
             self._states = None
-        return last, np.array(rewards, np.float64), terminated, truncated
+        return info["final_observation"], np.array(rewards, np.float64), terminated, truncated
 
     def seen(self, chosen: Any = ...) -> dict[str, np.ndarray]:
         """The last observations of the chosen robots in Gymnasium's format."""
         assert self.observations is not None
         return _to_numpy(self.observations, chosen)
+
+    def pictures(self) -> UInt8[np.ndarray, "robots height width 3"]:
+        """A picture of each robot's last observation."""
+        worlds = self._params.worlds
+        pixels = max(_PICTURE // max(worlds.width, worlds.height), _CELL)
+        return np.array(_draw(self.observations, pixels=pixels))
 
     def _starts(self, options: Mapping[str, Any]) -> tuple[Int[Array, "robots"], Pose]:
         """Index of the house, and pose, of each robot, as options say."""
@@ -189,7 +183,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(self, *, render_mode: str | None = None, **options: Any):
-        self._robot = _Robots(1, render_mode, **options)
+        self._robot = _Robots(1, render_mode, autoreset=False, **options)
         self.render_mode = render_mode
         self.observation_space = self._robot.space
         self.action_space = spaces.Discrete(FrontDoor.num_actions)
@@ -219,14 +213,14 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         (house,) = self._robot.houses
         if not self.action_space.contains(action):
             raise InputError(f"action is {action!r}; {_ACTIONS}")
-        _, (reward,), (terminated,), (truncated,) = self._robot.act(np.array([action]), autoreset=False)
+        _, (reward,), (terminated,), (truncated,) = self._robot.act(np.array([action]))
         return self._robot.seen(0), float(reward), bool(terminated), bool(truncated), {"house": house}
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
         """An image of the robot's belief, or `None` without render mode."""
         if self.render_mode is None or self._robot.observations is None:
             return None
-        return frame(**self._robot.seen(0))
+        return self._robot.pictures()[0]
 
 
 class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
@@ -245,7 +239,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
     metadata = {**FrontDoorEnv.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
     def __init__(self, num_envs: int, *, render_mode: str | None = None, **options: Any):
-        self._robots = _Robots(num_envs, render_mode, **options)
+        self._robots = _Robots(num_envs, render_mode, autoreset=True, **options)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space = self._robots.space
@@ -286,7 +280,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
             )
         if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
             raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
-        last, rewards, terminated, truncated = self._robots.act(chosen, autoreset=True)
+        last, rewards, terminated, truncated = self._robots.act(chosen)
         infos = self._infos()
         if np.any(done := terminated | truncated):
             kept = np.full(self.num_envs, None, object)
@@ -299,7 +293,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """An image of each robot's belief, or `None` without render mode."""
         if self.render_mode is None or self._robots.observations is None:
             return None
-        return tuple(frame(**seen) for seen in iterate(self.observation_space, self._robots.seen()))
+        return tuple(self._robots.pictures())
 
     def _infos(self) -> dict[str, Any]:
         """The infos of `FrontDoorEnv` for every robot, in the format of vector environments."""
@@ -343,40 +337,21 @@ def _reset(keys: Array, params: Params, environment: FrontDoor) -> tuple[Array, 
 
 
 @_jit
-def _advance(states: State, actions: Int[Array, "robots"], params: Params, environment: FrontDoor) -> tuple[Any, ...]:
-    """Step every robot, without a next episode."""
-    after, *outcome = jax.vmap(environment.advance, in_axes=(0, 0, None))(states, actions, params)
-    return jax.vmap(observe)(after), after, *outcome
-
-
-@_jit
 def _step(
     keys: Array, states: State, actions: Int[Array, "robots"], params: Params, environment: FrontDoor
 ) -> tuple[Array, Observation, State, Float[Array, "robots"], dict[str, Any]]:
-    """Step every robot. Keys advance only where an episode ends."""
+    """Step every robot. Keys advance only where the next episode begins."""
 
     def step_one(key: Array, state: State, action: Array) -> tuple[Any, ...]:
         next_key, own_key = jax.random.split(key)
         observation, state, reward, terminated, truncated, info = environment.step(own_key, state, action, params)
-        return jnp.where(terminated | truncated, next_key, key), observation, state, reward, info
+        begins = environment.autoreset & (terminated | truncated)
+        return jnp.where(begins, next_key, key), observation, state, reward, info
 
     return jax.vmap(step_one)(keys, states, actions)
 
 
-def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """An image of a belief in the colors of figures, with unobserved cells as unknown and the robot as a triangle.
-
-    Args:
-      terrain: observed class indices.
-      pose: column, row and heading.
-    """
-    scale = max(_FRAME_SIDE // max(terrain.shape), 4)
-    picture = Image.fromarray(np.repeat(np.repeat(FIGURE_RGB[terrain], scale, axis=0), scale, axis=1))
-    x, y, heading = pose
-    ahead = np.array(FORWARD[heading])
-    aside = np.array([-ahead[1], ahead[0]])
-    corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
-    middle = np.array([x + 0.5, y + 0.5]) * scale
-    triangle = middle + corners * max(0.45 * scale, _RENDERED_ROBOT_RADIUS)
-    ImageDraw.Draw(picture).polygon(triangle.ravel().tolist(), fill=RENDERED_ROBOT_COLOR, outline=(34, 34, 34))
-    return np.array(picture)
+@functools.partial(jit, static_argnames="pixels")
+def _draw(observations: Observation, *, pixels: int) -> UInt8[Array, "robots height width 3"]:
+    """A picture of each observation."""
+    return jax.vmap(lambda observation: image(observation, pixels, max(1.0, _ROBOT / pixels)))(observations)

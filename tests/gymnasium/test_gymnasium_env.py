@@ -18,10 +18,10 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
 from dc2g_jax._src.environments.functional import Observation, egocentric  # noqa: E402
 from dc2g_jax._src.grid.poses import make_pose  # noqa: E402
-from dc2g_jax._src.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
-from dc2g_jax._src.readers.houses import HouseDataset  # noqa: E402
+from dc2g_jax._src.grid.terrain import FIGURE_RGB, FRONT_DOOR, OUTSIDE, ROAD  # noqa: E402
+from dc2g_jax._src.readers.houses import House, HouseDataset  # noqa: E402
 from dc2g_jax.gymnasium import GYMNASIUM_ID, EgocentricObservation, EgocentricVectorObservation  # noqa: E402
-from dc2g_jax.gymnasium.environment import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
+from dc2g_jax.gymnasium.environment import FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
 from tests.oracles import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, WALLED, YARD, house, save_dataset, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -226,9 +226,9 @@ def test_pictures_show_what_is_observed_and_the_robot():
         if (x, y) != (5, 4):
             assert np.all(cells[y, :, x] == FIGURE_RGB[observation["terrain"][y, x]])
     middle = cells[4, scale // 2, 5, scale // 2]
-    assert tuple(middle) == RENDERED_ROBOT_COLOR
+    assert tuple(middle) == (0, 0, 0)
     # The robot looks up: its color reaches further up in the middle column than at the sides, below only there.
-    colored = np.all(cells[4, :, 5] == RENDERED_ROBOT_COLOR, axis=-1)
+    colored = np.all(cells[4, :, 5] == 0, axis=-1)
     assert colored[: scale // 4].sum() < colored[-scale // 2 :].sum()
     silent = make()
     silent.reset()
@@ -240,11 +240,15 @@ def test_pictures_show_what_is_observed_and_the_robot():
 
 
 def test_pictures_of_large_maps_keep_cells_and_robot_visible():
-    picture = frame(np.zeros((150, 200), np.uint8), np.array([100, 75, 0]))
+    terrain = np.full((150, 200), ROAD, np.uint8)
+    terrain[0, 0] = FRONT_DOOR
+    env = make(dataset=HouseDataset("large", "folder", (House("large", "train", terrain),)), render_mode="rgb_array")
+    env.reset(options={"house": "large", "x": 100, "y": 75, "heading": 0})
+    picture = env.render()
     assert picture.shape == (4 * 150, 4 * 200, 3)
-    robot = np.argwhere(np.any(picture != FIGURE_RGB[0], axis=-1))
-    # Its tip is nine pixels ahead of the middle of its cell.
-    assert robot[:, 1].max() == 4 * 100 + 2 + 9
+    robot = np.argwhere(np.all(picture == 0, axis=-1))
+    # Its tip, nine pixels ahead of the middle of its cell, is less than a pixel wide.
+    assert robot[:, 1].max() == 4 * 100 + 2 + 7
     assert FrontDoorEnv.metadata["render_fps"] == 10
 
 

@@ -278,7 +278,7 @@ def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class s
     return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
 
 
-def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "height width 3"]:
+def image(observation: Observation, pixels: int = 8, length: float = 1.0) -> UInt8[Array, "height width 3"]:
     """A picture of an observation: classes in the colors of the figures, and the robot as a black triangle.
 
     Pure, so `jax.vmap` draws a batch.
@@ -286,6 +286,7 @@ def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "height wid
     Args:
       observation: observation of the robot.
       pixels: side length of a cell.
+      length: length of the triangle, in cells.
 
     Raises:
       InputError: `pixels` is not a positive whole number.
@@ -295,7 +296,7 @@ def image(observation: Observation, pixels: int = 8) -> UInt8[Array, "height wid
     picture = jnp.repeat(jnp.repeat(cells, pixels, axis=0), pixels, axis=1)
     pose, forward = observation.pose, jnp.asarray(FORWARD)[observation.pose.heading]
     y, x = ((jnp.arange(side) + 0.5) / pixels - 0.5 for side in picture.shape[:2])
-    x, y = x - pose.x, y[:, None] - pose.y
+    x, y = (x - pose.x) / length, (y[:, None] - pose.y) / length
     ahead, aside = forward[0] * x + forward[1] * y, forward[0] * y - forward[1] * x
     robot = (jnp.abs(ahead) < 0.5) & (2 * jnp.abs(aside) < 0.5 - ahead)
     return jnp.where(robot[..., None], jnp.uint8(0), picture)
