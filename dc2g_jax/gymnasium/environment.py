@@ -15,7 +15,7 @@ An observation is a dictionary: `terrain`, uint8 [h w], holds the class index of
 import functools
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -43,95 +43,126 @@ _START = ("house", "x", "y", "heading")
 _ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
 
 
-class _Robots:
-    """Robots in separate episodes, each with its own series of random ones: what both environments share.
+class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+    """The vectorized search for a front door: many robots in separate episodes, stepped by one compiled call.
 
-    The next episode begins where one has ended if `autoreset`.
+    Robot `i` has the same episodes as a `FrontDoorEnv` with seed `seed + i`. When an episode ends, the next begins in
+    the same step (`AutoresetMode.SAME_STEP`): the observation is the first of the new episode, and the last of the old
+    episode is `final_obs` in the infos.
 
-    Attributes:
-      space: space of the observations of one robot.
-      keys: next key of each series; `None` before the first episodes.
-      observations: the last observations, with a leading axis of robots; `None` before the first episodes.
+    Args:
+      num_envs: number of robots.
+      render_mode: see `FrontDoorEnv`.
+      dataset: see `dc2g_jax.make_env`, like the rest.
+      split: split of the houses.
+      cells: side length of the square maps.
+      **options: `sensing_range`, `field_of_view` and `step_limit`.
+
+    Raises:
+      InputError: an option or the dataset is invalid.
     """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
     def __init__(
         self,
-        count: int,
-        render_mode: str | None,
-        autoreset: bool,
+        num_envs: int,
+        *,
+        render_mode: str | None = None,
         dataset: str | os.PathLike[str] | HouseDataset | None = None,
         split: str = "train",
         cells: int = 50,
         **options: Any,
     ):
         _leave_forks()
-        check_number("num_envs", count, whole=True, least=1)
+        check_number("num_envs", num_envs, whole=True, least=1)
         if render_mode is not None:
-            check_name("render_mode", render_mode, FrontDoorEnv.metadata["render_modes"], "or None")
-        self._count = count
+            check_name("render_mode", render_mode, self.metadata["render_modes"], "or None")
+        self.num_envs, self.render_mode, self._split = num_envs, render_mode, split
         self._dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset, cells=cells)
         environment, self._params = make_env(dataset=self._dataset, split=split, **options)
         # Without default parameters, so that equal sensing shares programs.
+        autoreset = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
         self._environment = FrontDoor(environment.sensing, autoreset=autoreset)
-        self._split = split
         self._houses = np.array([house.name for house in usable_houses(self._dataset, split)], object)
         width, height = self._params.worlds.width, self._params.worlds.height
-        self.space: gymnasium.Space[Any] = spaces.Dict(
+        self.single_observation_space = spaces.Dict(
             {
                 "terrain": spaces.Box(0, len(CLASS_NAMES) - 1, (height, width), np.uint8),
                 "pose": spaces.MultiDiscrete([width, height, HEADINGS], dtype=np.int32),
             }
         )
-        self.keys: Array | None = None
-        self.observations: Observation | None = None
+        self.single_action_space = spaces.Discrete(FrontDoor.num_actions)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._keys: Array | None = None
+        self._observations: Observation | None = None
         self._states: State | None = None
 
-    @property
-    def houses(self) -> Any:
-        """Name of the house of each robot."""
-        if self._states is None:
-            raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
-        return self._houses[np.asarray(self._states.house)]
-
-    def begin(self, generators: Iterable[np.random.Generator] | None, options: Mapping[str, Any] | None) -> None:
-        """Begin an episode of every robot: where the options say, or the next of its series.
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode of every robot.
 
         Args:
-          generators: for each robot one that begins its series; `None` to continue all.
-          options: the start, see `FrontDoorVectorEnv.reset`.
-        """
-        if generators is not None:
-            seeds = [generator.integers(2**31) for generator in generators]
-            self.keys = jax.vmap(jax.random.key)(np.array(seeds, np.int32))
-        if options:
-            self.observations, self._states = _start(*self._starts(options), self._params, self._environment)
-        else:
-            self.keys, self.observations, self._states = _reset(self.keys, self._params, self._environment)
-
-    def act(self, actions: Int[np.ndarray, "robots"]) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray]:
-        """Take one action of every robot.
+          seed: robot `i` gets the seed `seed + i`; `None` continues the current series of episodes.
+          options: `None` or empty, or starts: `house`, `x`, `y` and `heading`, each one value for all or one per robot.
 
         Returns:
-          The last observations of the current episodes, rewards, `terminated` and `truncated`.
+          Observations, and infos with the houses' names as `house`.
+
+        Raises:
+          InputError: an episode cannot start there.
         """
-        self.keys, self.observations, self._states, rewards, info = _step(
-            self.keys, self._states, actions.astype(np.int32), self._params, self._environment
+        super().reset(seed=seed)
+        if seed is None and self._keys is None:
+            seed = int(self.np_random.integers(2**31))
+        if seed is not None:
+            seeds = [seeding.np_random(seed + robot)[0].integers(2**31) for robot in range(self.num_envs)]
+            self._keys = jax.vmap(jax.random.key)(np.array(seeds, np.int32))
+        if options:
+            self._observations, self._states = _start(*self._starts(options), self._params, self._environment)
+        else:
+            self._keys, self._observations, self._states = _reset(self._keys, self._params, self._environment)
+        return _to_numpy(self._observations), self._infos()
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Take one action of every robot, and begin the next episode where one has ended."""
+        before, chosen = self._infos(), np.asarray(actions)
+        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
+            raise InputError(
+                f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
+            )
+        if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
+            raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
+        self._keys, self._observations, self._states, rewards, info = _step(
+            self._keys, self._states, chosen.astype(np.int32), self._params, self._environment
         )
-        terminated, truncated = np.array(info["terminated"]), np.array(info["truncated"])
-        if not self._environment.autoreset and np.any(terminated | truncated):
+        terminated, truncated, infos = np.array(info["terminated"]), np.array(info["truncated"]), self._infos()
+        done = terminated | truncated
+        if np.any(done) and not self._environment.autoreset:
             self._states = None
-        return info["final_observation"], np.array(rewards, np.float64), terminated, truncated
+        elif np.any(done):
+            kept = np.full(self.num_envs, None, object)
+            kept[done] = list(iterate(self.observation_space, _to_numpy(info["final_observation"], done)))
+            final = {"house": np.where(done, before["house"], None), "_house": done.copy()}
+            infos |= {"final_obs": kept, "_final_obs": done, "final_info": final, "_final_info": done.copy()}
+        return _to_numpy(self._observations), np.array(rewards, np.float64), terminated, truncated, infos
 
-    def seen(self, chosen: Any = ...) -> dict[str, np.ndarray]:
-        """The last observations of the chosen robots in Gymnasium's format."""
-        assert self.observations is not None
-        return _to_numpy(self.observations, chosen)
+    def render(self) -> tuple[UInt8[np.ndarray, "height width 3"], ...] | None:
+        """An image of each robot's belief, or `None` without render mode."""
+        if self.render_mode is None or self._observations is None:
+            return None
+        pixels = max(_PICTURE // max(self._params.worlds.width, self._params.worlds.height), _CELL)
+        return tuple(np.array(_draw(self._observations, pixels=pixels)))
 
-    def pictures(self) -> UInt8[np.ndarray, "robots height width 3"]:
-        """A picture of each robot's last observation."""
-        worlds = self._params.worlds
-        pixels = max(_PICTURE // max(worlds.width, worlds.height), _CELL)
-        return np.array(_draw(self.observations, pixels=pixels))
+    def _infos(self) -> dict[str, Any]:
+        """The infos of `FrontDoorEnv` for every robot, in the format of vector environments."""
+        if self._states is None:
+            raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
+        return {"house": self._houses[np.asarray(self._states.house)], "_house": np.ones(self.num_envs, bool)}
 
     def _starts(self, options: Mapping[str, Any]) -> tuple[Int[Array, "robots"], Pose]:
         """Index of the house, and pose, of each robot, as options say."""
@@ -142,10 +173,10 @@ class _Robots:
             if name not in options:
                 raise InputError(f"reset options have no {name!r}; a start has {', '.join(_START)}")
             value = options[name]
-            columns.append([value] * self._count if np.ndim(value) == 0 else list(value))
-            if len(columns[-1]) != self._count:
+            columns.append([value] * self.num_envs if np.ndim(value) == 0 else list(value))
+            if len(columns[-1]) != self.num_envs:
                 raise InputError(
-                    f"reset option {name!r} has {len(columns[-1])} values; give one, or one for each of {self._count}"
+                    f"reset option {name!r} has {len(columns[-1])} values; give one, or one for each of {self.num_envs}"
                 )
         table = np.array([self._start(*row) for row in zip(*columns, strict=True)], np.int32)
         house, x, y, heading = jnp.asarray(table).T
@@ -166,6 +197,12 @@ class _Robots:
         return int(np.flatnonzero(self._houses == house.name)[0]), x, y, heading
 
 
+class _OneByOne(FrontDoorVectorEnv):
+    """Robots whose next episode begins when it is asked for."""
+
+    metadata = {**FrontDoorVectorEnv.metadata, "autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012
+
+
 class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     """The search for a front door by one robot, as a Gymnasium environment.
 
@@ -180,13 +217,13 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
       InputError: an option or the dataset is invalid.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
+    metadata = {name: FrontDoorVectorEnv.metadata[name] for name in ("render_modes", "render_fps")}  # noqa: RUF012
 
     def __init__(self, *, render_mode: str | None = None, **options: Any):
-        self._robot = _Robots(1, render_mode, autoreset=False, **options)
+        self._robots = _OneByOne(1, render_mode=render_mode, **options)
         self.render_mode = render_mode
-        self.observation_space = self._robot.space
-        self.action_space = spaces.Discrete(FrontDoor.num_actions)
+        self.observation_space: gymnasium.Space[Any] = self._robots.single_observation_space
+        self.action_space = self._robots.single_action_space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -204,100 +241,20 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
           InputError: an episode cannot start there.
         """
         super().reset(seed=seed)
-        begins = seed is not None or self._robot.keys is None
-        self._robot.begin([self.np_random] if begins else None, options)
-        return self._robot.seen(0), {"house": self._robot.houses[0]}
+        observations, infos = self._robots.reset(seed=seed, options=options)
+        return _of_one(observations), {"house": infos["house"][0]}
 
     def step(self, action: np.int64 | int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Take one action. `terminated`: a front door is reached; `truncated`: the step limit is reached."""
-        (house,) = self._robot.houses
         if not self.action_space.contains(action):
             raise InputError(f"action is {action!r}; {_ACTIONS}")
-        _, (reward,), (terminated,), (truncated,) = self._robot.act(np.array([action]))
-        return self._robot.seen(0), float(reward), bool(terminated), bool(truncated), {"house": house}
+        observations, (reward,), (terminated,), (truncated,), infos = self._robots.step(np.array([action]))
+        return _of_one(observations), float(reward), bool(terminated), bool(truncated), {"house": infos["house"][0]}
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
         """An image of the robot's belief, or `None` without render mode."""
-        if self.render_mode is None or self._robot.observations is None:
-            return None
-        return self._robot.pictures()[0]
-
-
-class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
-    """The vectorized search for a front door: many robots in separate episodes, stepped by one compiled call.
-
-    Robot `i` has the same episodes as a `FrontDoorEnv` with seed `seed + i`. When an episode ends, the next begins in
-    the same step (`AutoresetMode.SAME_STEP`): the observation is the first of the new episode, and the last of the old
-    episode is `final_obs` in the infos.
-
-    Args:
-      num_envs: number of robots.
-      render_mode: see `FrontDoorEnv`.
-      **options: see `FrontDoorEnv`.
-    """
-
-    metadata = {**FrontDoorEnv.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
-
-    def __init__(self, num_envs: int, *, render_mode: str | None = None, **options: Any):
-        self._robots = _Robots(num_envs, render_mode, autoreset=True, **options)
-        self.num_envs = num_envs
-        self.render_mode = render_mode
-        self.single_observation_space = self._robots.space
-        self.single_action_space = spaces.Discrete(FrontDoor.num_actions)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode of every robot.
-
-        Args:
-          seed: robot `i` gets the seed `seed + i`; `None` continues the current series of episodes.
-          options: `None` or empty, or starts: `house`, `x`, `y` and `heading`, each one value for all or one per robot.
-
-        Returns:
-          Observations, and infos with the houses' names as `house`.
-
-        Raises:
-          InputError: an episode cannot start there.
-        """
-        super().reset(seed=seed)
-        if seed is None and self._robots.keys is None:
-            seed = int(self.np_random.integers(2**31))
-        generators = None if seed is None else [seeding.np_random(seed + robot)[0] for robot in range(self.num_envs)]
-        self._robots.begin(generators, options)
-        return self._robots.seen(), self._infos()
-
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take one action of every robot, and begin the next episode where one has ended."""
-        houses, chosen = self._robots.houses, np.asarray(actions)
-        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
-            raise InputError(
-                f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
-            )
-        if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
-            raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
-        last, rewards, terminated, truncated = self._robots.act(chosen)
-        infos = self._infos()
-        if np.any(done := terminated | truncated):
-            kept = np.full(self.num_envs, None, object)
-            kept[done] = list(iterate(self.observation_space, _to_numpy(last, done)))
-            final = {"house": np.where(done, houses, None), "_house": done.copy()}
-            infos |= {"final_obs": kept, "_final_obs": done, "final_info": final, "_final_info": done.copy()}
-        return self._robots.seen(), rewards, terminated, truncated, infos
-
-    def render(self) -> tuple[UInt8[np.ndarray, "height width 3"], ...] | None:
-        """An image of each robot's belief, or `None` without render mode."""
-        if self.render_mode is None or self._robots.observations is None:
-            return None
-        return tuple(self._robots.pictures())
-
-    def _infos(self) -> dict[str, Any]:
-        """The infos of `FrontDoorEnv` for every robot, in the format of vector environments."""
-        return {"house": self._robots.houses, "_house": np.ones(self.num_envs, bool)}
+        pictures = self._robots.render()
+        return None if pictures is None else pictures[0]
 
 
 def _leave_forks() -> None:
@@ -310,13 +267,18 @@ def _leave_forks() -> None:
         )
 
 
-def _to_numpy(observations: Observation, chosen: Any) -> dict[str, np.ndarray]:
+def _to_numpy(observations: Observation, chosen: Any = ...) -> dict[str, np.ndarray]:
     """The chosen observations of a batch in Gymnasium's format; copies that the caller owns."""
     pose = observations.pose
     return {
         "terrain": np.array(np.asarray(observations.terrain)[chosen]),
         "pose": np.stack([np.asarray(part)[chosen] for part in (pose.x, pose.y, pose.heading)], axis=-1),
     }
+
+
+def _of_one(observations: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The observation of the only robot of a batch."""
+    return {name: values[0] for name, values in observations.items()}
 
 
 _jit = functools.partial(jit, static_argnames="environment")

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import textwrap
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
@@ -16,8 +16,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E40
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-from dc2g_jax._src.environments.functional import Observation, egocentric  # noqa: E402
-from dc2g_jax._src.grid.poses import make_pose  # noqa: E402
+from dc2g_jax._src.environments.functional import egocentric  # noqa: E402
 from dc2g_jax._src.grid.terrain import FIGURE_RGB, FRONT_DOOR, OUTSIDE, ROAD  # noqa: E402
 from dc2g_jax._src.readers.houses import House, HouseDataset  # noqa: E402
 from dc2g_jax.gymnasium import GYMNASIUM_ID, EgocentricObservation, EgocentricVectorObservation  # noqa: E402
@@ -272,8 +271,8 @@ def test_egocentric_observations():
         seen, *_, infos = envs.step(np.array([action, 1]))
         views_of_both.append(seen)
         if action != WAY[-1]:
-            plain = env.unwrapped._robot.seen(0)
-            expected = egocentric(Observation(jnp.asarray(plain["terrain"]), make_pose(*plain["pose"])), 3)
+            plain = jax.tree.map(lambda leaf: leaf[0], env.unwrapped._robots._observations)
+            expected = egocentric(plain, 3)
             np.testing.assert_array_equal(views[-1].argmax(axis=0), expected)
     assert seen in envs.observation_space
     np.testing.assert_array_equal([both[0] for both in views_of_both[:-1]], views[:-1])
