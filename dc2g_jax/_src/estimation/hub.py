@@ -1,14 +1,11 @@
 """Load and save trained networks: in a folder, or at `hf://owner/name` on the Hugging Face Hub."""
 
 import os
-import tempfile
 from pathlib import Path
-from typing import Any
 
 import jax
 
-from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, reason, save_network
-from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, reason
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.runtime.errors import InputError, require_extra, short
@@ -86,37 +83,31 @@ def load_network(place: str | os.PathLike[str] | None = None) -> Estimator:
     return estimator
 
 
-def push(network: Any, place: str) -> str:
+def push(folder: str | os.PathLike[str], place: str) -> str:
     """Save a network on the Hub, in a new repository or as a new version. First log in with `hf auth login`.
 
     Args:
-      network: a network from `dc2g train`, or the folder of one of any kind, whose card is then kept.
+      folder: the folder of a trained network of any kind.
       place: `hf://owner/name`.
 
     Returns:
       The address of the new version.
 
     Raises:
-      InputError: it is of another kind, the folder holds no network, or the Hub rejects it.
+      InputError: the folder holds no network, or the Hub rejects it.
     """
     repository, revision = _on_hub(place)
     import huggingface_hub
 
-    with tempfile.TemporaryDirectory() as saved:
-        if isinstance(network, str | os.PathLike):
-            folder = Path(network)
-        elif isinstance(getattr(network, "architecture", None), Architecture):
-            folder = save_network(saved, network)
-        else:
-            raise InputError(f"{short(network)}: cannot be saved on the Hub; give the folder of a network")
-        if not ((folder / CARD).is_file() and (folder / WEIGHTS).is_file()):
-            raise InputError(f"{folder}: holds no {CARD} and {WEIGHTS}; give the folder of a trained network")
-        try:
-            hub = huggingface_hub.HfApi()
-            hub.create_repo(repository, exist_ok=True)
-            done = hub.upload_folder(repo_id=repository, folder_path=folder, revision=revision, allow_patterns=_FILES)
-            return str(done.commit_url)
-        except Exception as error:  # of many libraries
-            raise InputError(
-                f"{place}: cannot be saved ({reason(error)}); log in with `hf auth login`, and check the name"
-            ) from None
+    folder = Path(folder)
+    if not ((folder / CARD).is_file() and (folder / WEIGHTS).is_file()):
+        raise InputError(f"{folder}: holds no {CARD} and {WEIGHTS}; give the folder of a trained network")
+    try:
+        hub = huggingface_hub.HfApi()
+        hub.create_repo(repository, exist_ok=True)
+        done = hub.upload_folder(repo_id=repository, folder_path=folder, revision=revision, allow_patterns=_FILES)
+        return str(done.commit_url)
+    except Exception as error:  # of many libraries
+        raise InputError(
+            f"{place}: cannot be saved ({reason(error)}); log in with `hf auth login`, and check the name"
+        ) from None
