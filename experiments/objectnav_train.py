@@ -62,7 +62,6 @@ class Options(TrainingOptions, Pauses, _CollectionOptions):
     Attributes:
       dataset: `procedural`, or a folder of houses in ProcTHOR's format.
       count: number of training houses; by default all of a folder, or 500 procedural ones.
-      strict: reject a file of houses at its first invalid line, instead of skipping the line.
       validation_houses: number of houses of the validation split.
       encoder: image encoder of another training, its folder `encoder`, which is copied to `out`; by default one is
         trained first.
@@ -82,7 +81,6 @@ class Options(TrainingOptions, Pauses, _CollectionOptions):
 
     dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
     count: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    strict: bool = False
     validation_houses: int = 20
     encoder: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     encoder_steps: int = 3000
@@ -189,9 +187,7 @@ def main(options: Options) -> None:
     require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
     count = 500 if options.count is None and options.dataset == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.dataset}", flush=True)
-    read = functools.partial(
-        indoor_houses, options.dataset, cell_size=IndoorMapSettings.cell_size, strict=options.strict
-    )
+    read = functools.partial(indoor_houses, options.dataset, cell_size=IndoorMapSettings.cell_size)
     houses = read("train", count=count)
     largest = options.validation_houses
     unknown = read("val", count=largest if options.dataset == PROCEDURAL else None)[:largest]

@@ -185,7 +185,7 @@ def write_indoor_houses(folder: Path) -> None:
 
 def read_indoor_houses(folder: Path) -> None:
     for name in ("train.jsonl", "train.jsonl.gz"):
-        read_procthor(folder / name, strict=True)
+        read_procthor(folder / name)
 
 
 def write_extracts(folder: Path) -> None:

@@ -82,13 +82,11 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
     """Searches in several houses.
 
     Attributes:
-      strict: reject a file of houses at its first invalid line, instead of skipping the line.
       count: number of houses, from the first of the split on.
       episodes: searches in each house, from random starts for random targets.
       resamples: bootstrap samples of the houses, for the intervals.
     """
 
-    strict: bool = False
     count: int = 8
     episodes: int = 40
     resamples: int = 10_000
@@ -185,7 +183,7 @@ def compare(
     """
     require_positive(options, "count", "episodes", "samples", "limit", "resamples")
     where, cell_size = (options.dataset, options.split), IndoorMapSettings.cell_size
-    houses = indoor_houses(*where, count=options.count, cell_size=cell_size, strict=options.strict)
+    houses = indoor_houses(*where, count=options.count, cell_size=cell_size)
     episodes = sample_episodes(houses, options.episodes, seed=options.seed)
     given = {"dataset": tree_sha256([house.world for house in houses]), **digests(**inputs)}
     out = output_folder(options, command, inputs=given)

@@ -11,6 +11,7 @@ from dc2g_jax.indoor.houses.procthor import house_plan, read_procthor
 from dc2g_jax.indoor.houses.worlds import IndoorWorld
 from dc2g_jax.indoor.maps.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
 from tests.support import house_lines
+from tests.support.refusals import refusal
 from tests.support.two_rooms import rooms_cut_off
 
 BOXES = {asset: (entry["type"], *entry["box"]) for asset, entry in house_lines.BOXES.items()}
@@ -132,22 +133,16 @@ def changed(value: object, *path: str | int) -> dict:
         (changed(7, "objects", 1, "children"), "children"),
     ],
 )
-def test_a_malformed_line_is_named_and_skipped_or_refused(tmp_path, line, said):
-    path, told = house_lines.write(tmp_path, house_lines.house(), "", line, house_lines.house()), []
-    houses = read_procthor(path, log=told.append)
-    assert [number for number, _ in houses] == [1, 4]
-    assert len(told) == 2
-    assert f"{path}: line 3 " in told[0]
-    assert said in told[0]
-    assert "skipped 1 of 3 lines" in told[1]
-    with pytest.raises(InputError, match="line 3 is not a house") as refusal:
-        read_procthor(path, strict=True)
-    assert "\n" not in str(refusal.value)
+def test_a_malformed_line_is_named(tmp_path, line, said):
+    path = house_lines.write(tmp_path, house_lines.house(), "", line, house_lines.house())
+    refusal(lambda: read_procthor(path), f"{path}: line 3 is not a house", said, "repair or delete the line")
+    path = house_lines.write(tmp_path, house_lines.house(), "", "", house_lines.house())
+    assert [number for number, _ in read_procthor(path)] == [1, 4]
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):
     with pytest.raises(InputError, match="holds no house"):
-        read_procthor(house_lines.write(tmp_path, "{}"), log=lambda line: None)
+        read_procthor(house_lines.write(tmp_path, ""))
     with pytest.raises(InputError, match="no such file"):
         read_procthor(tmp_path / "val.jsonl")
     with gzip.open(tmp_path / "test.jsonl.gz", "wb", 1) as file:
@@ -158,7 +153,7 @@ def test_what_cannot_be_read_is_refused(tmp_path):
     damaged = tmp_path / "val.jsonl.gz"
     damaged.write_bytes(gzip.compress(b"x" * 5000)[:-9])
     with pytest.raises(InputError, match="cannot be read"):
-        read_procthor(damaged, log=lambda line: None)
+        read_procthor(damaged)
     (tmp_path / "asset_boxes.json").write_text('{"a": {"type": "Bed", "box": [1, 2]}}')
     with pytest.raises(InputError, match="asset 'a'"):
         read_procthor(damaged)
@@ -184,11 +179,7 @@ def sample(shared) -> list:
     folder = shared / "datasets" / "procthor_tiny"
     if not folder.is_dir():
         pytest.skip("../shared/datasets/procthor_tiny is absent")
-    return [
-        house
-        for split in ("train", "val", "test")
-        for house in indoor_houses(folder, split, cell_size=0.1, strict=True)
-    ]
+    return [house for split in ("train", "val", "test") for house in indoor_houses(folder, split, cell_size=0.1)]
 
 
 def test_all_houses_of_the_sample_are_closed(sample):

@@ -70,7 +70,6 @@ def indoor_houses(
     *,
     count: int | None = None,
     cell_size: float = PLAN_CELL_SIZE,
-    strict: bool = False,
 ) -> list[IndoorHouse]:
     """The first houses of a split.
 
@@ -81,7 +80,6 @@ def indoor_houses(
         count: number of houses. `None` for all houses of a file, or for 20 procedural ones, as many as a split of
             ProcTHOR's sample has.
         cell_size: side of a cell, meters.
-        strict: whether an invalid house is an error, see `read_procthor`.
 
     Raises:
         InputError: the split, folder or file does not exist, a file is invalid, or it has fewer than `count` houses.
@@ -97,7 +95,7 @@ def indoor_houses(
         if path is None:
             names = " or ".join(path.name for path in paths)
             raise InputError(f"{location}: has no {names}; give a folder of ProcTHOR houses")
-        plans = read_procthor(path, strict=strict)
+        plans = read_procthor(path)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
     return [IndoorHouse(f"{split}-{number}", world_from_plan(plan, cell_size)) for number, plan in plans[:count]]

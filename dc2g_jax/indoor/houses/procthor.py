@@ -9,14 +9,13 @@ plant on a table. Objects that hang on a wall are left out, except televisions.
 import gzip
 import math
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from dc2g_jax.datasets import tell_on_stderr
 from dc2g_jax.files import opened, parse_json, read_lines, read_object
 from dc2g_jax.indoor.houses.plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax.indoor.maps.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
@@ -60,36 +59,26 @@ def _read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     return boxes
 
 
-def read_procthor(
-    path: str | Path, *, strict: bool = False, log: Callable[[str], None] = tell_on_stderr
-) -> list[tuple[int, HousePlan]]:
+def read_procthor(path: str | Path) -> list[tuple[int, HousePlan]]:
     """Read the houses of a file. Empty lines are ignored.
 
     Args:
       path: JSON lines, gzipped if the name ends in `.gz`, beside the table of boxes, `asset_boxes.json`.
-      strict: whether an invalid house is an error. Otherwise invalid houses are skipped, reported through `log`, and
-        counted at the end.
-      log: receives these messages.
 
     Returns:
       Line number, from 1, and plan of each house.
 
     Raises:
-      InputError: a file cannot be read or contains no houses, or, if strict, a line is not a valid house.
+      InputError: a file cannot be read or contains no houses, or a line is not a valid house.
     """
     path = Path(path)
     table = _read_asset_boxes(path.parent / BOXES_FILE)
-    houses, skipped = [], 0
+    houses = []
     for number, line in _lines(path):
         try:
             houses.append((number, house_plan(_parsed(line), table)))
         except InputError as error:
-            if strict:
-                raise InputError(f"{path}: line {number} is not a house: {error}; repair or delete the line") from None
-            log(f"{path}: line {number} is not a house and is skipped: {error}")
-            skipped += 1
-    if skipped:
-        log(f"{path}: skipped {skipped} of {skipped + len(houses)} lines; repair or delete them")
+            raise InputError(f"{path}: line {number} is not a house: {error}; repair or delete the line") from None
     if not houses:
         raise InputError(f"{path}: holds no house; give a file with a house in ProcTHOR's JSON format on each line")
     return houses
