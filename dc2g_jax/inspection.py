@@ -14,7 +14,11 @@ from dc2g_jax._src.figures.episode_figures import (
     plot_trajectories as plot_trajectories,
 )
 from dc2g_jax._src.figures.map_figures import plot_map as plot_map
-from dc2g_jax._src.figures.replay import actions_from_letters as actions_from_letters, replay as replay
+from dc2g_jax._src.figures.replay import (
+    actions_from_letters as actions_from_letters,
+    replay as replay,
+    replay_result as replay_result,
+)
 from dc2g_jax._src.figures.results_figures import (
     map_image as map_image,
     planner_style as planner_style,

@@ -31,7 +31,7 @@ from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
-from dc2g_jax._src.viewer.recording import record_frames
+from dc2g_jax._src.viewer.recording import record_episode
 from experiments.support.bars import TITLES, plot_extra_steps
 from experiments.support.published import PUBLISHED_GROUPS, authors_results, group_by_house, run_published
 
@@ -88,7 +88,7 @@ def record(
         house = dataset.house(start.house)
         frames = {planner: replay_result(result, house, rules, network) for planner, result in by_planner.items()}
         path = out / "recordings" / f"{name}.rrd"
-        record_frames(path, house=house, result_by_planner=by_planner, frames_by_planner=frames)
+        record_episode(path, house=house, result_by_planner=by_planner, frames_by_planner=frames)
         shown = {planner: frames[planner] for planner in sorted(drawn(planners))}
         plot_episode(out / "recordings" / name, house, shown)
 

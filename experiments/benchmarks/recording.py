@@ -10,7 +10,7 @@ from dc2g_jax._src.figures.replay import Frames, replay_result
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.viewer.recording import record_frames
+from dc2g_jax._src.viewer.recording import record_episode
 
 from .bench import SENSING_RANGE, Bench, own
 from .rows import Row
@@ -42,7 +42,7 @@ def recording_rows(bench: Bench) -> Iterator[Row]:
         path = Path(folder) / "episode.rrd"
 
         def write(frames: dict[str, Frames]) -> int:
-            record_frames(path, house=house, result_by_planner=results, frames_by_planner=frames)
+            record_episode(path, house=house, result_by_planner=results, frames_by_planner=frames)
             return path.stat().st_size
 
         calls = {"written": lambda: write(frames), "replayed and written": lambda: write(replayed())}

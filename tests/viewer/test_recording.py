@@ -26,7 +26,7 @@ from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import extra_steps
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.viewer import legend
-from dc2g_jax._src.viewer.recording import record_episode, record_frames
+from dc2g_jax._src.viewer.recording import record_episode
 from tests.oracles import numpy_gridworld as oracle
 from tests.oracles.learned_score_oracle import Chooser
 from tests.support import toy
@@ -91,10 +91,15 @@ def frames(results):
     }
 
 
+def record(path, results, house=_HOUSE, rules=_RULES):
+    frames = {planner: replay_result(result, house, rules, _ESTIMATOR) for planner, result in results.items()}
+    return record_episode(path, house=house, result_by_planner=results, frames_by_planner=frames)
+
+
 @pytest.fixture(scope="module")
 def file(results, tmp_path_factory):
     path = tmp_path_factory.mktemp("recordings") / "new" / "toy.rrd"
-    return record_episode(path, house=_HOUSE, result_by_planner=results, rules=_RULES, estimator=_ESTIMATOR)
+    return record(path, results)
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +283,7 @@ def test_a_planner_that_gives_up_has_no_path(tmp_path):
     assert [MODE_NAMES[mode] for mode in found.mode] == ["explore"] * 3 + ["gave_up"]
     assert [len(path) for path in found.path] == [2, 2, 2, 0]
     assert np.all(np.isnan(found.score[3]))
-    logged = read(record_episode(tmp_path / "x.rrd", house=house, result_by_planner={"a": result}, rules=_RULES))
+    logged = read(record(tmp_path / "x.rrd", {"a": result}, house))
     assert logged["/a/status", "TextDocument:text"][3] == ["**step 3** of 3 · gave up"]
     assert logged["/a/mode", "TextLog:text"][3] == ["a: gave up"]
     assert logged["/hidden/about", "TextDocument:text"][None][0].endswith("no door can be reached")
@@ -289,7 +294,7 @@ def test_a_planner_that_gives_up_has_no_path(tmp_path):
 def test_an_episode_without_exploration_is_recorded(tmp_path):
     start, letters = (17, 6, 2), "FFF"
     result = EpisodeResult("toy", *start, 3, None, "frontier", True, 3, 3, 0.0, "to_goal", letters)
-    logged = read(record_episode(tmp_path / "x.rrd", house=_HOUSE, result_by_planner={"a": result}, rules=_RULES))
+    logged = read(record(tmp_path / "x.rrd", {"a": result}))
     assert not any(logged["/a/plan/candidates", "Points2D:positions"].values())
     assert logged["/a/plan/path", "LineStrips2D:strips"][0] == [[[x + 0.5, 6.5] for x in (17, 16, 15, 14)]]
     assert [status[0] for status in logged["/a/status", "TextDocument:text"].values()] == [
@@ -428,7 +433,7 @@ def test_what_is_hidden_and_the_legend_are_static(logged):
 
 def test_plans_of_another_planner_than_the_recorded_are_told(results, tmp_path):
     result = results["true_cost_to_go"]._replace(planner="frontier")
-    path = record_episode(tmp_path / "x.rrd", house=_HOUSE, result_by_planner={"a / b": result}, rules=_RULES)
+    path = record(tmp_path / "x.rrd", {"a / b": result})
     words = [line for (_, name), lines in read(path).items() if name == "TextLog:text" for line in lines.values()]
     assert ["a / b: plans shown are made anew, and 2 of their actions are not those taken"] in words
 
@@ -456,32 +461,33 @@ def test_costs_that_are_not_in_cells_have_classes_of_their_own():
 
 
 def test_episodes_that_do_not_belong_together_are_refused(results, tmp_path):
-    frontier = results["frontier"]
-
-    def record(**changes):
-        arguments = {"house": _HOUSE, "result_by_planner": {"frontier": frontier}, "rules": _RULES}
-        record_episode(tmp_path / "never.rrd", **(arguments | changes))
-
+    frontier, path = results["frontier"], tmp_path / "never.rrd"
     with pytest.raises(ValueError, match="at least one planner"):
-        record(result_by_planner={})
+        record(path, {})
     with pytest.raises(ValueError, match="an episode in toy, not in other"):
-        record(house=House("other", "test", _TERRAIN))
+        record(path, {"frontier": frontier}, House("other", "test", _TERRAIN))
+    another = {"a": frontier, "b": frontier._replace(x=2)}
+    frames = dict.fromkeys(another, toy.replayed()["frontier"])
     with pytest.raises(ValueError, match="b: another start"):
-        record(result_by_planner={"a": frontier, "b": frontier._replace(x=2)})
+        record_episode(path, house=_HOUSE, result_by_planner=another, frames_by_planner=frames)
+    assert not path.exists()
+
+
+def test_results_of_other_episodes_are_not_replayed(results):
+    frontier = results["frontier"]
     with pytest.raises(ValueError, match="sensing range 3 is not that of the rules, 8"):
-        record(rules=SETTINGS["paper"].rules())
+        replay_result(frontier, _HOUSE, SETTINGS["paper"].rules())
     with pytest.raises(ValueError, match="'dc2g' needs an estimator"):
-        record(result_by_planner={"dc2g": frontier._replace(planner="dc2g")})
+        replay_result(frontier._replace(planner="dc2g"), _HOUSE, _RULES)
     with pytest.raises(ValueError, match="do not end as the result says"):
-        record(result_by_planner={"frontier": frontier._replace(actions=frontier.actions[:-1])})
-    assert not (tmp_path / "never.rrd").exists()
+        replay_result(frontier._replace(actions=frontier.actions[:-1]), _HOUSE, _RULES)
 
 
 def test_unwritable_path_is_named(results, tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "x.rrd", tmp_path):
         with pytest.raises(InputError, match=r"cannot be written"):
-            record_episode(path, house=_HOUSE, result_by_planner={"frontier": results["frontier"]}, rules=_RULES)
+            record(path, {"frontier": results["frontier"]})
 
 
 def test_where_nothing_is_predicted_the_recording_says_so(tmp_path):
@@ -489,7 +495,7 @@ def test_where_nothing_is_predicted_the_recording_says_so(tmp_path):
     frames = dataclasses.replace(
         toy.replayed()[label], cost_to_go=np.zeros(toy.replayed()[label].seen.shape, np.float32)
     )
-    path = record_frames(
+    path = record_episode(
         tmp_path / "none.rrd", house=toy.HOUSE, result_by_planner={label: toy.RESULTS[label]},
         frames_by_planner={label: frames},
     )  # fmt: skip

@@ -25,7 +25,7 @@ from dc2g_jax._src.readers.starts import Start, why_no_start
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.runtime.progress import EpisodeProgress
-from dc2g_jax._src.viewer.recording import record_frames
+from dc2g_jax._src.viewer.recording import record_episode
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9
@@ -151,7 +151,7 @@ def _draw(
             animate(out / f"{name}.{extension}", house, frames)
             bar.update()
         if record:
-            record_frames(out / f"{name}.rrd", house=house, result_by_planner=chosen, frames_by_planner=frames)
+            record_episode(out / f"{name}.rrd", house=house, result_by_planner=chosen, frames_by_planner=frames)
             bar.update()
 
 

@@ -210,8 +210,13 @@ def replay_result(result: EpisodeResult, house: House, rules: Rules, estimator: 
       estimator: the network of `dc2g`.
 
     Raises:
-      ValueError: if the actions do not end as the result says, or for `dc2g` without an estimator.
+      ValueError: if the rules have another range, the actions do not end as the result says, or for `dc2g` without an
+        estimator.
     """
+    if (result.range, result.expanding_range) != (rules.sensing.radius, rules.expanding_range):
+        raise ValueError(
+            f"{result.planner}: sensing range {result.range} is not that of the rules, {rules.sensing.radius}"
+        )
     frames = replay(
         World.from_terrain(house.terrain),
         make_pose(result.x, result.y, result.heading),

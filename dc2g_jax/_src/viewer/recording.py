@@ -12,16 +12,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
 
-from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.figures.costs import exact_cost_to_go, predicts, score_colors
 from dc2g_jax._src.figures.episode_figures import outcome
-from dc2g_jax._src.figures.replay import Frames, actions_from_letters, replay_result, running_extra_steps
+from dc2g_jax._src.figures.replay import Frames, actions_from_letters, running_extra_steps
 from dc2g_jax._src.figures.results_figures import planner_styles
 from dc2g_jax._src.grid.poses import FORWARD
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.planning.decisions import HEADING_NAMES
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
-from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.viewer import legend
@@ -234,16 +232,29 @@ def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
     return first
 
 
-def record_frames(
+def record_episode(
     path: str | Path,
     *,
     house: House,
     result_by_planner: Mapping[str, EpisodeResult],
     frames_by_planner: Mapping[str, Frames],
 ) -> Path:
-    """Write a rerun file (`.rrd`) of replayed episodes from one start, see `record_episode`.
+    """Write a rerun file (`.rrd`) of one start, with one or more planners side by side (as in the paper's Fig. 8).
 
-    `frames_by_planner` has the labels of `result_by_planner`.
+    Open it with `rerun FILE`. Writing needs no viewer, window or network and does not affect other recordings.
+
+    Args:
+      path: file to write; its folder is created.
+      house: house of the episodes.
+      result_by_planner: label of each planner -> its episode. All have the same start.
+      frames_by_planner: label of each planner -> its episode as `inspection.replay_result` replays it.
+
+    Returns:
+      The path.
+
+    Raises:
+      InputError: the file cannot be written.
+      ValueError: there is no episode, or the episodes have different starts or houses.
     """
     first = _check(house, result_by_planner)
     exact = exact_cost_to_go(house)
@@ -261,37 +272,3 @@ def record_frames(
     stream.flush()
     stream.disconnect()
     return path
-
-
-def record_episode(
-    path: str | Path,
-    *,
-    house: House,
-    result_by_planner: Mapping[str, EpisodeResult],
-    rules: Rules,
-    estimator: Estimator | None = None,
-) -> Path:
-    """Write a rerun file (`.rrd`) of one start, with one or more planners side by side (as in the paper's Fig. 8).
-
-    Open it with `rerun FILE`. Writing needs no viewer, window or network and does not affect other recordings.
-
-    Args:
-      path: file to write; its folder is created.
-      house: house of the episodes.
-      result_by_planner: label of each planner -> its episode. All have the same start.
-      rules: rules of the episodes.
-      estimator: the network of `dc2g`.
-
-    Returns:
-      The path.
-
-    Raises:
-      InputError: the file cannot be written.
-      ValueError: the episodes have different starts, houses or rules, or there is no estimator for a `dc2g` episode.
-    """
-    _check(house, result_by_planner)
-    for label, result in result_by_planner.items():
-        if (result.range, result.expanding_range) != (rules.sensing.radius, rules.expanding_range):
-            raise ValueError(f"{label}: sensing range {result.range} is not that of the rules, {rules.sensing.radius}")
-    frames = {label: replay_result(result, house, rules, estimator) for label, result in result_by_planner.items()}
-    return record_frames(path, house=house, result_by_planner=result_by_planner, frames_by_planner=frames)
