@@ -234,11 +234,11 @@ class TranslatorCostToGo(Estimator):
         return jax.vmap(images.in_eight_bits)(generator(pictures))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
-        """1 - brightness of the network's image; 1 for pixels that are not traversable."""
+        """Costs read off the network's image, see `images.read_cost_to_go`."""
         del state
         height, width, *batch = terrain.shape
-        answers = self.translate(jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0))
-        costs = jax.vmap(lambda one: images.read_cost_to_go(one, height, width))(answers)
+        maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
+        costs = jax.vmap(images.read_cost_to_go)(self.translate(maps), maps)
         return jnp.moveaxis(costs, 0, -1).reshape(1, height, width, *batch)
 
 

@@ -131,7 +131,7 @@ def test_the_estimate_is_read_off_the_picture(weights, street):
     estimate = ask(jnp.asarray(street), network.init(World.from_terrain(street)))
     large = resize_nearest(jnp.asarray(street), 32, 32)
     picture = images.in_eight_bits(translate(weights, images.semantic_image(large)[None])[0])
-    read = images.read_cost_to_go(picture, *street.shape)
+    read = images.read_cost_to_go(picture, jnp.asarray(street))
     np.testing.assert_allclose(estimate[0], read, atol=1.01 / 255)  # a rounding error counts one
     assert estimate.shape == (1, *street.shape)
     assert np.isfinite(estimate).all()
