@@ -12,7 +12,7 @@ from jaxtyping import Array
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells, trait
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.learned_score import LearnedScore, weights_of
-from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner, PlannerLike
+from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner, PlannerLike, with_summary
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax._src.planning.selection import QuantileCost, mean_outcome
 from dc2g_jax._src.runtime.errors import InputError
@@ -34,7 +34,9 @@ def _on_network(summary: Callable[[Array], Array], estimator: Estimator, rules: 
     if not answers_in_cells(estimator):
         return DC2G(estimator, rules)
     rules = dataclasses.replace(rules, goal_poses=nearest_goal)
-    return LearnedScore(rules, weights_of(trait(estimator, "score") or _shipped_score()), estimator, summary)
+    weights = weights_of(trait(estimator, "score") or _shipped_score())
+    # Summed up here, planners that differ in the summary are one program.
+    return LearnedScore(rules, weights, *with_summary(estimator, summary))
 
 
 def _bounded(estimator: Estimator, rules: Rules) -> Bounded:

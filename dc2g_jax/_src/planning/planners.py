@@ -28,7 +28,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.nearby import Decided, nearby
 from dc2g_jax._src.planning.rules import Rules
-from dc2g_jax._src.planning.selection import ExpectedCost, Selection, mean_of, mean_outcome
+from dc2g_jax._src.planning.selection import ExpectedCost, Selection, mean_of, only_outcome
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import apart
 
@@ -365,7 +365,7 @@ def choice_is_due(
 def with_summary(estimator: Estimator, summary: Callable[[Array], Array]) -> tuple[Estimator, Callable[[Array], Array]]:
     """The estimator that computes the summary itself, if there is one, and what is left to summarize of its answer."""
     if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
-        return estimator.summarized(summary), mean_outcome  # of one outcome
+        return estimator.summarized(summary), only_outcome
     return estimator, summary
 
 

@@ -62,6 +62,11 @@ def mean_outcome(costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "1 
     return mean_of(costs)[None]
 
 
+def only_outcome(costs: Float[Array, "1 h w *batch"]) -> Float[Array, "1 h w *batch"]:
+    """The costs themselves, as a summary of what the estimator has summed up already."""
+    return costs
+
+
 @dataclasses.dataclass(frozen=True)
 class ExpectedCost(Selection):
     """Mean cost-to-go plus weighted distance: distant subgoals must promise more than close ones.
