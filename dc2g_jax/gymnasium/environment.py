@@ -33,7 +33,7 @@ from dc2g_jax.environments import FrontDoor, Observation, Params, State, image, 
 from dc2g_jax.grid import CLASS_NAMES, HEADINGS, Pose, make_pose
 from dc2g_jax.runtime import InputError, check_name, check_number, jit
 
-#: Pixels of a picture: its longer side, about; the side of a cell and the length of the robot, at least.
+#: Sizes in pixels: the longer side of a picture (about), the side of a cell and the length of the robot (at least).
 _PICTURE, _CELL, _ROBOT = 400, 4, 18
 
 #: The process that imported this module, and with it JAX.

@@ -266,7 +266,7 @@ class RecurrentPolicy(ChoosingPlanner):
         return self.prefer(seen, memory)
 
     def score(self, belief: Belief, situation: Situation) -> PoseValues:
-        """Minus the preference for the pose's block."""
+        """The negative of the preference for the pose's block."""
         block = block_of_cells(belief.pose, belief.height, belief.width)
         flat = jnp.take_along_axis(situation.estimator.logits, block.reshape(-1, *block.shape[2:]), axis=0)
         return -jnp.broadcast_to(flat.reshape(block.shape), (HEADINGS, *block.shape))

@@ -77,9 +77,9 @@ def looks_traversable(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
 def read_cost_to_go(image: Float[Array, "s s 3"], terrain: UInt8[Array, "h w"]) -> Float[Array, "h w"]:
     """Read the cost-to-go of an image on the grid of its map (Algorithm 2, line 10: filter and resize).
 
-    The map tells what is traversable, as in the authors' later code. Redness there is the network's error, and the
-    green channel, of which red has none, is the gray. (The authors first took each pixel for blocked that is not gray
-    enough. So our networks lose 9 to 33 % of known ground.)
+    The map tells what is traversable, as in the authors' later code. Red on such ground is the network's error, so the
+    cost is read from the green channel, which red leaves at zero. The authors' first code took pixels that are not gray
+    enough for blocked: with our networks, 9 to 33 % of the cells that a robot may head for.
 
     Args:
       image: an image such as `cost_to_go_image` makes.

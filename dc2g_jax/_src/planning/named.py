@@ -35,7 +35,7 @@ def _on_network(summary: Callable[[Array], Array], estimator: Estimator, rules: 
         return DC2G(estimator, rules)
     rules = dataclasses.replace(rules, goal_poses=nearest_goal)
     weights = weights_of(trait(estimator, "score") or _shipped_score())
-    # Summed up here, planners that differ in the summary are one program.
+    # Summarized in the estimator, so that planners that differ in the summary share one program.
     return LearnedScore(rules, weights, *with_summary(estimator, summary))
 
 

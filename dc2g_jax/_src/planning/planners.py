@@ -90,13 +90,13 @@ class Planner:
 
     - `plan`, the next action;
     - `assess`, the same with its inputs, for figures, recordings and `OnlinePlanner`;
-    - `look`, `ask` and `conclude`, for a planner that asks now and then, such as an estimator. A rollout on a CPU runs
-      each robot by itself until it asks, then asks for all robots together: a network or a choice needs less time per
-      map in larger batches, and everything else is faster for a single robot.
+    - `look`, `ask` and `conclude`, for a planner that asks now and then, for example for an estimate. A rollout on a
+      CPU runs each robot by itself until it asks, then asks for all robots together: a network or a choice needs less
+      time per map in larger batches, and everything else is faster for a single robot.
 
     Attributes:
-      batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for
-        what is asked.
+      batch_per_core: number of robots to simulate side by side on one CPU core. One is fastest, except
+        for computing answers.
       knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
         takes what the estimator takes.
     """
@@ -121,7 +121,7 @@ class Planner:
         return self.conclude(belief, state, self.look(belief, state), self.ask)
 
     def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
-        """Whether the planner asks, and what else the decision depends on but the answer."""
+        """Whether the planner asks, and what its decision needs besides the answer."""
         raise NotImplementedError("a planner needs a method plan")
 
     def ask(self, belief: Belief, state: Any) -> Any:

@@ -63,7 +63,7 @@ def mean_outcome(costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "1 
 
 
 def only_outcome(costs: Float[Array, "1 h w *batch"]) -> Float[Array, "1 h w *batch"]:
-    """The costs themselves, as a summary of what the estimator has summed up already."""
+    """The costs themselves: the summary where the estimator has already summarized them."""
     return costs
 
 

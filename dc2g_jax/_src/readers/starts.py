@@ -71,7 +71,7 @@ def any_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Cells of any ground from which a front door can be reached, except front doors."""
+    """Traversable cells from which a front door can be reached, except front doors."""
     return connected_to_goal(terrain) & any_ground(terrain)
 
 

@@ -130,7 +130,7 @@ def tabulate(
 ) -> Table:
     """Summary by planner and group of houses; the last of the groups holds all episodes.
 
-    Episodes whose start no goal can be reached from are left out.
+    Episodes from whose start no goal can be reached are left out.
     """
     cells: dict[str, dict[str, list[EpisodeResult]]] = {}
     for one in results:

@@ -195,7 +195,7 @@ class CostToGoTraining(Supervised):
         def loss_of(estimate: Array, batch: Pair, loss_weights: Array) -> Float[Array, ""]:
             return mean_loss(self.recipe, loss_weights, estimate, batch, dict(self.own_losses))
 
-        # By itself: within the network's program, XLA would compute its gradient for each use, in a slow order.
+        # A program of its own: within the network's, XLA would compute the gradient for each use, in a slow order.
         loss, gradient = apart(jax.value_and_grad(loss_of), estimate, batch, hyperparameters.loss_weights)
         return loss, of_estimate(gradient)[0]
 
