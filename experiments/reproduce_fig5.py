@@ -149,7 +149,7 @@ def train_translators(
     card = {
         "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
         f"{100 * options.whole_share:g} % of pairs whole"
-        + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
+        + ("" if options.no_augment else ", shifted, enlarged and turned"),
         "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
         "loss": config.loss,
         "command": command_written(),

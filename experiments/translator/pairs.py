@@ -20,6 +20,7 @@ from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.runtime.errors import InputError, check_number
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.masks import LEADERS, Masks, View, by_house, collect_masks, leading_planners
+from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, turned
 from experiments.translator.drawn_masks import drawn_masks
 from experiments.translator.images import cost_to_go_image, largest_cost, semantic_image
 
@@ -227,16 +228,16 @@ def masked_map(data: ImageSet, index: Int[Array, ""]) -> MaskedMap:
 
 
 def _jittered(whole: MaskedMap, key: Array) -> MaskedMap:
-    """Enlarged by 286 / 256, randomly cropped to the original size, and mirrored left to right with probability 1/2."""
+    """Enlarged by 286 / 256, randomly cropped to the original size, and turned to a random symmetry of the square."""
     size = whole.terrain.shape[-1]
     enlarged = round(size * _ENLARGED)
-    corner_key, mirror_key = jax.random.split(key)
+    corner_key, turn_key = jax.random.split(key)
     corner = jax.random.randint(corner_key, (2,), 0, enlarged - size + 1)
-    mirrored = jax.random.bernoulli(mirror_key)
+    symmetry = jax.random.randint(turn_key, (), 0, SYMMETRY_COUNT)
 
     def piece(part: Array) -> Array:
         cut = jax.lax.dynamic_slice(resize_nearest(part, enlarged, enlarged), corner, (size, size))
-        return jnp.where(mirrored, cut[:, ::-1], cut)
+        return turned(cut, symmetry)
 
     return MaskedMap(piece(whole.terrain), piece(whole.cost_to_go), piece(whole.seen), whole.largest)
 
@@ -252,7 +253,7 @@ def draw_image_pairs(
       data: the pairs.
       batch_size: pairs per step.
       whole_share: share of pairs in which the whole map is observed instead of the part that the mask shows.
-      augment: whether to enlarge, crop and mirror maps at random, as pix2pix does.
+      augment: whether to enlarge and crop maps at random, as pix2pix does, and to turn them (pix2pix: mirror them).
     """
     n_pairs = len(data.pair_house)
     order_key, own_key = jax.random.split(key)

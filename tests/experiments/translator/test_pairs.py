@@ -136,24 +136,24 @@ def test_augmented_maps_are_larger_pieces_of_the_old_ones():
     batch, whole = draw(jax.random.key(0), jnp.int32(0), data), make_pairs(data, jnp.arange(1))
     enlarged = [np.asarray(resize_nearest(picture[0], 72, 72)) for picture in (whole.image, whole.target)]
     found = set()
+    turns = [(quarters, mirrored) for quarters in range(4) for mirrored in (False, True)]
+
+    def piece(picture, top, left, quarters, mirrored):
+        turned = np.rot90(picture[top : top + 64, left : left + 64], quarters)
+        return turned[:, ::-1] if mirrored else turned
+
     for image, target in zip(np.asarray(batch.image), np.asarray(batch.target), strict=True):
-        places = [
-            (top, left, mirrored)
-            for top in range(9)
-            for left in range(9)
-            for mirrored in (False, True)
-            if np.array_equal(image, enlarged[0][top : top + 64, left : left + 64][:, :: -1 if mirrored else 1])
-        ]
-        ((top, left, mirrored),) = places
-        found.add(places[0])
-        gray = enlarged[1][top : top + 64, left : left + 64][:, :: -1 if mirrored else 1]
+        places = [(top, left, *turn) for top in range(9) for left in range(9) for turn in turns]
+        (place,) = [place for place in places if np.array_equal(image, piece(enlarged[0], *place))]
+        found.add(place)
+        gray = piece(enlarged[1], *place)
         red = gray[..., 0] != gray[..., 1]
         np.testing.assert_array_equal(target[..., 0] != target[..., 1], red)
         # The nearest cell that is left is white, and grays are brightened alike.
         brightest = np.where(red, 0, gray[..., 2]).max()
         np.testing.assert_allclose(target[..., 2] * brightest, gray[..., 2], atol=1e-5)
     assert len(found) > 40
-    assert {mirrored for _, _, mirrored in found} == {False, True}
+    assert {place[2:] for place in found} == set(turns)
 
 
 @pytest.mark.parametrize("size", [16, 50])
