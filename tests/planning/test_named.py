@@ -1,11 +1,14 @@
 """Planners by name."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore, weights_of
 from dc2g_jax._src.planning.named import (
@@ -22,6 +25,7 @@ from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.planning.selection import ExpectedCost
 from experiments.benchmarks.extents import CroppedEstimator, WindowedEstimator
 from experiments.translator.network import TranslatorArchitecture, TranslatorCostToGo
+from tests.support import maps
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)
@@ -55,18 +59,25 @@ def test_a_planner_shows_itself_without_private_modules(name):
 
 def test_planners_on_a_network_go_by_the_score_that_was_learned_with_it():
     learned = {term: np.float32(number) for number, term in enumerate(TERMS)}
-    network = NetworkCostToGo(weights=(), architecture=Architecture(), score=learned)
+    network = dataclasses.replace(open_estimator(None), score=learned)
+    terrain = jnp.asarray(maps.random_terrain(0, (50, 50), 0.7, doors=1))
     for estimator, score in ((network, learned), (ExactCostToGo(), open_estimator(None).score)):
         dc2g, uncertain, bounded = (
             NETWORK_PLANNERS[name](estimator, RULES) for name in ("dc2g", "dc2g_uncertain", "dc2g_bounded")
         )
-        for planner in (dc2g, uncertain):
+        state = estimator.init(World.from_terrain(terrain))
+        outcomes = np.asarray(estimator.estimate(terrain, state))
+        for planner, wanted in ((dc2g, outcomes.mean(axis=0)), (uncertain, outcomes[int(0.7 * len(outcomes))])):
             assert isinstance(planner, LearnedScore)
-            assert planner.estimator is estimator
             np.testing.assert_array_equal(planner.weights, weights_of(score))
+            (summary,) = planner.summary(planner.estimator.estimate(terrain, state))
+            np.testing.assert_allclose(summary, wanted, rtol=1e-4)
         assert repr(bounded) == repr(Bounded(dc2g, dc2g.rules, factor=2.0, slack=3.0))
-        outcomes = jnp.arange(10.0).reshape(10, 1, 1)
-        assert (dc2g.summary(outcomes).item(), uncertain.summary(outcomes).item()) == (4.5, 7.0)
+
+
+def test_planners_that_differ_in_the_summary_of_a_network_share_a_program():
+    dc2g, uncertain = (planner_with(name, RULES, open_estimator(None)) for name in ("dc2g", "dc2g_uncertain"))
+    assert jax.tree.structure(dc2g) == jax.tree.structure(uncertain)
 
 
 def test_the_papers_planner_is_that_of_the_paper():
@@ -87,7 +98,7 @@ def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
 
 def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
-    network = NetworkCostToGo(weights=(), architecture=Architecture())
+    network = open_estimator(None)
     for wrapped in (CroppedEstimator, WindowedEstimator):
         assert planner_with("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
         assert isinstance(planner_with("dc2g", RULES, wrapped(network)), LearnedScore)
