@@ -11,11 +11,10 @@ from jaxtyping import UInt8
 from dc2g_jax._src.cli.outputs import CommandOptions
 from dc2g_jax._src.files.class_images import read_palette
 from dc2g_jax._src.grid.poses import HEADINGS
-from dc2g_jax._src.grid.terrain import ROAD
 from dc2g_jax._src.readers.houses import House, HouseDataset
 from dc2g_jax._src.readers.maps import Goal, draw_map
 from dc2g_jax._src.readers.occupancy import YAML_ENDINGS, read_occupancy_map
-from dc2g_jax._src.readers.starts import Start, any_ground, check_starts, sample_starts
+from dc2g_jax._src.readers.starts import Start, any_ground, check_starts, sample_starts, usual_ground
 from dc2g_jax._src.runtime.errors import InputError
 
 #: Start of an episode: column, row and heading.
@@ -92,9 +91,7 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
         return start
     if starts := sample_starts([house], 1, seed=seed):
         return starts[0]
-    ground = any_ground(house.terrain)
-    road = ground & (house.terrain == ROAD)
-    cells = np.argwhere(road if np.any(road) else ground)
+    cells = np.argwhere(usual_ground(house.terrain))
     if not len(cells):
         raise InputError(f"{where}: it has no traversable ground to start from; choose another one")
     rng = np.random.default_rng(seed)

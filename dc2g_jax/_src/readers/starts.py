@@ -59,15 +59,19 @@ def published_episodes() -> tuple[tuple[Start, str, dict[str, int]], ...]:
         )
 
 
-def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Road cells from which a front door can be reached; on maps without road, all such ground except the doors."""
-    ground = terrain == ROAD if np.any(terrain == ROAD) else terrain != FRONT_DOOR
-    return np.asarray(connected_to_goal(terrain) & ground)
-
-
 def any_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Traversable cells except front doors, whether or not a front door can be reached from them."""
     return TRAVERSABLE[terrain] & (terrain != FRONT_DOOR)
+
+
+def usual_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Road cells; on maps without road, `any_ground`."""
+    return terrain == ROAD if np.any(terrain == ROAD) else any_ground(terrain)
+
+
+def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The usual ground from which a front door can be reached."""
+    return np.asarray(connected_to_goal(terrain) & usual_ground(terrain))
 
 
 def start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -349,7 +349,8 @@ def evaluate(
     if starts is None:
         houses = usable_houses(dataset, split, instead="use another split")
         starts = sample_starts(houses, starts_per_house, seed=seed)
-    check_starts(starts, dataset)
+    else:
+        check_starts(starts, dataset)
     if sensing_range is not None:
         starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
     told = progress if callable(progress) else EpisodeProgress(leave=False) if progress else None

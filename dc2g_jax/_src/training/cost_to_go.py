@@ -127,12 +127,13 @@ def mean_loss(
     """
     scale = recipe.architecture.cost_scale
     levels = jnp.asarray(recipe.architecture.quantiles, jnp.float32)
+    estimate, target = estimate / scale, batch.target / scale
 
     def mean(name: str, weight: Float[Array, ""]) -> Float[Array, ""]:
         of_map = functools.partial(map_loss, own_losses.get(name) or named_loss(name), levels=levels)
         # A loss of weight 0 must not overflow.
-        judged = jnp.where(weight > 0, estimate / scale, 0.0)
-        return weight * jnp.mean(jax.vmap(of_map)(judged, batch.target / scale, batch.weight))
+        judged = jnp.where(weight > 0, estimate, 0.0)
+        return weight * jnp.mean(jax.vmap(of_map)(judged, target, batch.weight))
 
     return jnp.sum(jnp.stack([mean(name, loss_weights[number]) for number, (name, _) in enumerate(recipe.losses)]))
 
