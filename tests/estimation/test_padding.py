@@ -40,11 +40,11 @@ def test_the_answer_is_that_to_the_map_alone(network, padded, shape):
     terrain = maps.random_terrain(sum(shape), shape, 0.6)
     terrain[maps.random_cells(sum(shape), shape, 0.5)] = 0
     wanted = np.asarray(alone(network, terrain))
-    for grid_shape in ((64, 64), (70, 96)):
+    for grid_shape, place in (((64, 64), (0, 0)), ((70, 96), (0, 0)), ((70, 96), (6, 35))):
         grid = np.full(grid_shape, OUTSIDE, np.uint8)
-        grid[: shape[0], : shape[1]] = terrain
-        answer = np.asarray(padded(grid))[:, : shape[0], : shape[1]]
-        np.testing.assert_allclose(answer, wanted, rtol=1e-4, atol=1e-4)
+        rows, columns = (slice(first, first + side) for first, side in zip(place, shape, strict=True))
+        grid[rows, columns] = terrain
+        np.testing.assert_allclose(np.asarray(padded(grid))[:, rows, columns], wanted, rtol=1e-4, atol=1e-4)
     assert padded._cache_size() <= 2
 
 

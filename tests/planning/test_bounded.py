@@ -183,9 +183,3 @@ def test_no_bound_is_left_on_a_map_whose_cells_changed(street):
         wrapped, _ = planner.planner.plan(belief, revised.planner)
         plan, _ = planner.plan(belief, revised)
         assert np.array_equal(plan.subgoals, wrapped.subgoals) == is_free
-
-
-def test_without_a_memory_there_is_only_the_wrapped_planner():
-    wrapped = DC2G(Scattered(), COMPLETE)
-    assert Bounded(wrapped, COMPLETE, 1.0, 1.0).memoryless() == wrapped.memoryless()
-    assert Bounded(Hostile(COMPLETE), COMPLETE, 1.0, 1.0).memoryless() == Hostile(COMPLETE)

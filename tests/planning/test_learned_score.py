@@ -86,7 +86,7 @@ def decided(planner, terrain, seen, pose, kept, *, shape):
     """A decision, its candidates, and the poses of both; poses are `[3 *batch]`."""
     pose, kept = make_pose(*pose), make_pose(*kept)
     belief = gridworld.belief_of(World.from_terrain(terrain), pose, jnp.zeros_like(pose.x), bitboard.pack(seen))
-    state = planner.init(World.from_terrain(terrain))._replace(subgoal=poses.only(kept, *belief.seen.shape[:2]))
+    state = planner.init(World.from_terrain(terrain))._replace(subgoals=poses.only(kept, *belief.seen.shape[:2]))
     assessment, state = planner.assess(belief, state)
     sets = (poses.unpack(these, shape[1]) for these in (assessment.candidates, assessment.plan.subgoals))
     return assessment, state.candidates, *sets
@@ -205,17 +205,6 @@ def test_it_gives_up_where_estimates_are_no_numbers():
     for estimator, mode in ((NoNumber(), GAVE_UP), (Scattered(), EXPLORE)):
         planner = LearnedScore(RULES, jnp.asarray(random_weights(4)), estimator)
         assert int(planner.plan(belief, planner.init(world))[0].mode) == mode
-
-
-def test_without_a_memory_both_views_are_asked_about_at_once():
-    terrain, seen, pose, _ = moments()[1]
-    planner = LearnedScore(RULES, jnp.asarray(random_weights(5)), Scattered()).memoryless()
-    assessment, _ = planner.assess(belief_of(terrain, seen, pose), planner.init(World.from_terrain(terrain)))
-    observed = np.where(seen, terrain, 0).astype(np.uint8)
-    both = (scattered(observed) + scattered(observed[:, ::-1])[:, ::-1]) / 2
-    np.testing.assert_array_equal(assessment.cost_to_go, both)
-    without = LearnedScore(RULES, jnp.asarray(random_weights(5)))
-    assert without.memoryless() is without
 
 
 def test_in_towns_larger_than_its_network_the_surroundings_are_asked_about():

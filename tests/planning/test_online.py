@@ -11,7 +11,7 @@ import pytest
 from flax import struct
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED
@@ -22,8 +22,8 @@ from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
 from dc2g_jax._src.planning.metric import MetricPlanner
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.online import OnlinePlanner
-from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier
-from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier, Planner
+from dc2g_jax._src.planning.rules import Rules, complete_rules
 from dc2g_jax._src.runtime.errors import InputError
 from experiments.benchmarks.extents import Window, WindowedEstimator
 from tests.oracles import learned_score_oracle, numpy_gridworld as oracle
@@ -39,6 +39,7 @@ from tests.support.exploration import (
     random_worlds,
 )
 from tests.support.networks import random_network
+from tests.support.refusals import refusal
 
 #: Maps, and the largest that planners are made for: one program, three, and one for maps that go on beyond their edges.
 SHAPE = (11, 29)
@@ -53,20 +54,6 @@ def network() -> NetworkCostToGo:
     return random_network(Architecture(widths=(4, 4, 4, 4), patch=2, embedding=0))
 
 
-@struct.dataclass
-class BothViews:
-    """What an estimator makes of the map and of its mirror image on average, which the planner should go by."""
-
-    estimator: Estimator
-
-    def init(self, world):
-        return self.estimator.init(world)
-
-    def estimate(self, terrain, state=()):
-        mirrored = self.estimator.estimate(terrain[:, ::-1], state)[:, :, ::-1]
-        return (self.estimator.estimate(terrain, state) + mirrored) / 2
-
-
 @functools.cache
 def planner_of(name: str, largest: tuple[int, int] = LARGEST, open_ended: bool = False) -> OnlinePlanner:
     return OnlinePlanner(
@@ -76,6 +63,12 @@ def planner_of(name: str, largest: tuple[int, int] = LARGEST, open_ended: bool =
         largest=OPEN_ENDED if open_ended else largest,
         open_ended=open_ended,
     )
+
+
+def at_first(planner: OnlinePlanner, grid, pose) -> Decision:
+    """The decision of a new search."""
+    planner._memory = None
+    return planner.plan(grid, pose)
 
 
 def observed(terrain, seen):
@@ -116,27 +109,21 @@ def assert_alike(decision: Decision, other: Decision) -> None:
 # --- the choice -------------------------------------------------------------------------------------------------------
 
 
-def test_every_step_of_an_episode_is_that_of_the_batch_planner():
-    @jax.jit
-    def plan(planner, grid, pose):
-        return planner.plan(belief_from_map(grid, make_pose(*pose)), planner.init(World.from_terrain(grid)))[0]
-
-    batch_planner = planner_with("dc2g", complete_rules(SENSING), BothViews(network()))
+@pytest.mark.parametrize("name", ["dc2g", "frontier"])
+def test_every_step_of_an_episode_is_that_of_the_batch_planner(name):
+    batch_planner = planner_with(name, complete_rules(SENSING), network())
+    plan, explored = jax.jit(lambda *given: batch_planner.plan(*given)), 0
     terrains, starts = random_worlds(SHAPE, 900, episodes=8)
     for terrain, start in zip(terrains, starts, strict=True):
-        before: tuple[np.ndarray, Decision] | None = None
-        for grid, pose, decision in episode(planner_of("dc2g"), terrain, start):
-            same = before is not None and np.array_equal(grid, before[0])
-            if before is not None and same and before[1].mode == "explore" and pose != before[1].subgoal:
-                assert decision.subgoal == before[1].subgoal  # kept while nothing new is seen
-                before = grid.copy(), decision
-                continue
-            before = grid.copy(), decision
-            wanted = jax.device_get(plan(batch_planner, grid, pose))
+        state = batch_planner.init(World.from_terrain(terrain))
+        for grid, pose, decision in episode(planner_of(name), terrain, start):
+            wanted, state = plan(belief_from_map(grid, make_pose(*pose)), state)
             assert decision.mode == MODE_NAMES[wanted.mode]
             assert len(decision.actions) == wanted.length
             if decision.action:
                 assert decision.action == ACTION_LETTERS[wanted.action]
+            explored += decision.mode == "explore"
+    assert explored > 100
 
 
 def scattered_planner() -> OnlinePlanner:
@@ -144,11 +131,11 @@ def scattered_planner() -> OnlinePlanner:
     return OnlinePlanner(network=Scattered(), sensing_range=SENSING, largest=SHAPE)
 
 
-#: Planners on a robot, and what the mean answer to the map and its mirror image is; none for frontier exploration.
+#: Planners on a robot, and their estimates; none for frontier exploration.
 PLANNERS = {
     "frontier": (lambda: planner_of("frontier"), None),
-    "dc2g": (lambda: planner_of("dc2g"), jax.jit(BothViews(network()).estimate)),
-    "another estimator": (scattered_planner, BothViews(Scattered()).estimate),
+    "dc2g": (lambda: planner_of("dc2g"), jax.jit(network().estimate)),
+    "another estimator": (scattered_planner, Scattered().estimate),
 }
 
 
@@ -161,7 +148,7 @@ def test_decisions_hold_what_the_plain_implementation_finds(name):
         if seed % 2:
             terrain = np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8)
         grid, free = observed(terrain, seen), seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
-        decision, reached = planner.plan(grid, pose), oracle.reachable(free, *pose[:2])
+        decision, reached = at_first(planner, grid, pose), oracle.reachable(free, *pose[:2])
         doors = reached & (terrain == FRONT_DOOR)
         found = oracle.frontier_expanding_complete(seen, reached, pose, SENSING)
         mode = "to_goal" if doors.any() else "explore" if found.any() else "gave_up"
@@ -201,7 +188,7 @@ def check_candidates(planner: OnlinePlanner, decision: Decision, found, grid, po
         assert all(each.score == each.distance == nearest[each.y, each.x] for each in ranked)
         return
     weights = dict(zip(TERMS, np.asarray(planner._planner.weights).tolist(), strict=True))
-    costs = np.asarray(estimate(grid)).mean(axis=0)
+    costs = np.asarray(estimate(grid, ())).mean(axis=0)
     if np.isin(grid, learned_score_oracle.PLAIN_CLASSES).all():
         costs = np.zeros(SHAPE)
     try:
@@ -222,7 +209,7 @@ def check_candidates(planner: OnlinePlanner, decision: Decision, found, grid, po
 def shown_sum(why: str) -> float:
     """The sum of the terms that a reason shows, each rounded to a tenth."""
     shown = re.search(r" = (-?[\d.]+) predicted cost-to-go(.*)", why)
-    others = re.findall(r" ([+-]) ([\d.]+) for (?:\d+ actions?|what it reveals)", shown[2])
+    others = re.findall(r" ([+-]) ([\d.]+) for (?:the way there|what it reveals)", shown[2])
     return float(shown[1]) + sum(float(sign + term) for sign, term in others)
 
 
@@ -254,10 +241,10 @@ def test_reasons(street):
 @pytest.mark.parametrize(
     ("terms", "wanted"),
     [
-        ((17.2, 28, 30.4, -0.8), "30.4 = 17.2 predicted cost-to-go + 14.0 for 28 actions - 0.8 for what it reveals"),
-        ((17.2, 1, 19.7, 2.0), "19.7 = 17.2 predicted cost-to-go + 0.5 for 1 action + 2.0 for what it reveals"),
-        ((17.2, 28, 17.2, 0.0), "17.2 = 17.2 predicted cost-to-go, 28 actions away"),
-        ((None, 28, 7.0, 0.0), "7.0: 28 actions away"),
+        ((17.2, 28, 30.4, -0.8), "30.4 = 17.2 predicted cost-to-go + 14.0 for the way there - 0.8 for what it reveals"),
+        ((17.2, 1, 19.7, 2.0), "19.7 = 17.2 predicted cost-to-go + 0.5 for the way there + 2.0 for what it reveals"),
+        ((17.2, 28, 17.2, 0.0), "17.2 = 17.2 predicted cost-to-go"),
+        ((None, 28, 7.0, 0.0), "7.0"),
     ],
 )
 def test_a_reason_shows_how_the_score_comes_about(terms, wanted):
@@ -266,6 +253,7 @@ def test_a_reason_shows_how_the_score_comes_about(terms, wanted):
     path = [RobotPose(0, 5, 0)] * distance + [RobotPose(4, 5, 0)]
     others = [best, best._replace(x=9, score=40.0)]
     place = "explore: (4, 5) facing east has the lowest score of 2 candidates"
+    wanted += f", {distance} action{'s' if distance > 1 else ''} away"
     assert explain("explore", path, others) == f"{place}, {wanted}; next best 40.0 at (9, 5)"
     for other, shown in ((score, f"{score:.1f}"), (score + 0.02, "0.02 more")):
         close = [best, best._replace(x=9, score=other)]
@@ -283,9 +271,9 @@ def test_a_planner_of_ones_own_shows_its_own_candidates_and_scores():
         terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
         grid = observed(np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8), seen)
         wanted = planner_of("frontier").plan(grid, pose)
-        found = alone.plan(grid, pose)
+        found = at_first(alone, grid, pose)
         assert (found, found.candidates, found.why) == (wanted, wanted.candidates, wanted.why)
-        found = lowest.plan(grid, pose)
+        found = at_first(lowest, grid, pose)
         assert found.mode == wanted.mode
         assert sorted(each[:2] for each in found.candidates) == sorted(each[:2] for each in wanted.candidates)
         for each in found.candidates:
@@ -307,8 +295,8 @@ def test_an_estimator_with_an_extent_is_asked_about_it_alone():
         terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
         grid = observed(np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8), seen)
         window = np.pad(grid, side)[pose[1] + side - 3 : pose[1] + side + 4, pose[0] + side - 3 : pose[0] + side + 4]
-        costs = np.asarray(BothViews(Scattered()).estimate(window))[0]
-        for each in planner.plan(grid, pose).candidates:
+        costs = np.asarray(Scattered().estimate(window, ()))[0]
+        for each in at_first(planner, grid, pose).candidates:
             x, y = each.x - pose[0] + 3, each.y - pose[1] + 3
             inside = 0 <= x < side and 0 <= y < side
             assert each.cost_to_go == pytest.approx(costs[y, x] if inside else prior)
@@ -326,7 +314,7 @@ def test_decisions_do_not_depend_on_the_grid(name):
         shape = ((5, 7), (11, 29), (14, 32), (12, 31), (1, 32))[seed % 5]
         terrain, seen, pose = random_moment(seed, shape, 0.8)
         grid = observed(terrain, seen)
-        assert_alike(fitting.plan(grid, pose), larger.plan(grid, pose))
+        assert_alike(at_first(fitting, grid, pose), at_first(larger, grid, pose))
 
 
 def test_a_robot_that_sees_all_around_explores_by_what_it_sees():
@@ -420,6 +408,63 @@ def test_no_size_of_map_compiles_anything(name):
 def test_maps_of_up_to_100_by_100_cells_are_expected():
     for planner in (OnlinePlanner, MetricPlanner):
         assert inspect.signature(planner).parameters["largest"].default == (100, 100)
+
+
+@struct.dataclass
+class Anew(Planner):
+    """Frontier exploration whose scores are the number of decisions of the search. It knows no changes of the map."""
+
+    rules: Rules = struct.field(pytree_node=False)
+
+    def init(self, world):
+        return Frontier(self.rules).init(world), jnp.float32(0)
+
+    def assess(self, belief, state):
+        assessment, reachable = Frontier(self.rules).assess(belief, state[0])
+        score = jnp.full((belief.height, belief.width), state[1] + 1)
+        return assessment.replace(score=score), (reachable, state[1] + 1)
+
+
+@struct.dataclass
+class GoesOn(Anew):
+    """The same, and it does."""
+
+    def revised(self, state, changed):
+        return Frontier(self.rules).revised(state[0], changed), state[1]
+
+
+def test_a_search_goes_on_or_starts_anew():
+    road = np.full(SHAPE, 3, np.uint8)
+    road[:, 20:] = 0
+    grown, fewer, other = road.copy(), road.copy(), road.copy()
+    grown[:, 20:22], fewer[:4, 3:9], other[3:, :20] = 3, 0, 7
+    planners = [
+        OnlinePlanner(kind(complete_rules(SENSING)), sensing_range=SENSING, largest=SHAPE) for kind in (GoesOn, Anew)
+    ]
+
+    def decisions(grid, left=0):
+        """How many decisions the searches have made."""
+        return [planner.plan(grid, (left, 0, 0), origin=(left, 0)).candidates[0].score for planner in planners]
+
+    assert [decisions(grid) for grid in (road, road, grown)] == [[1, 1], [2, 2], [3, 3]]
+    assert [decisions(grid) for grid in (fewer, road)] == [[4, 1], [5, 2]]  # some cells are lost, then seen again
+    assert [decisions(grid) for grid in (other, other)] == [[1, 1], [2, 2]]  # another map
+    assert [decisions(other, left=1) for _ in range(2)] == [[1, 1], [2, 2]]
+    for planner in planners:
+        refusal(lambda: planner.plan(other[:0], (1, 0, 0), origin=(1, 0)), "shape (0, 29)")  # noqa: B023
+    assert decisions(other, left=1) == [3, 3]
+
+
+def test_in_an_open_ended_world_the_frame_stays_while_there_is_a_margin():
+    planner = OnlinePlanner("frontier", sensing_range=SENSING, largest=(40, 40), open_ended=True)
+    frames = []
+    for first, side in ((0, 12), (-8, 20), (-9, 21), (-9, 39), (5, 12)):
+        planner.plan(np.full((side, side), 3, np.uint8), (6, 6, 0), origin=(first, first))
+        frames.append(planner._memory.frame)
+    assert frames[0] == frames[1] == (-32, -32, 76, 76)
+    assert frames[2] == (-41, -41, 85, 85)
+    assert frames[3] == (-33, -33, 87, 87)  # at most the largest map with its margin
+    assert frames[4] == (-27, -27, 76, 76)  # another map
 
 
 def test_cells_may_change_between_calls():

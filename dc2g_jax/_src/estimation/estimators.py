@@ -56,7 +56,7 @@ class Estimator(Protocol):
 
     Attributes:
       in_cells: whether costs are in cells, so that a distance can be added.
-      knows_outside: whether it takes maps in a larger grid, with `OUTSIDE` cells around, as `OnlinePlanner` pads them.
+      knows_outside: whether it takes maps anywhere in a larger grid of `OUTSIDE` cells, as `OnlinePlanner` pads them.
       extent: the part of the map that it is given.
       side: longer side of the maps that it was trained on, in cells; `None` if it knows maps of any size.
       is_compact: whether it is a network whose layers are those of `CompactUNet`.

@@ -1,6 +1,6 @@
 """The network on a grid larger than the map, so that one compiled program serves maps of many sizes.
 
-The map is in the grid's upper left corner. All other cells are `OUTSIDE`. The result is the same as for the map alone:
+The map may be anywhere in the grid. All other cells are `OUTSIDE`. The result is the same as for the map alone:
 convolutions see nothing beyond the map's edge, and larger maps than those of the training are resampled.
 """
 
@@ -9,7 +9,7 @@ from typing import ClassVar, cast
 
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax._src.estimation.compact_unet import CompactUNet
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, trait, zero_without_classes
@@ -54,38 +54,21 @@ def _shrunk(
 ) -> tuple[
     UInt8[Array, "b h2 w2"], tuple[Int[Array, ""], Int[Array, ""]], tuple[Int[Array, "h 1"], Int[Array, "w"]], Array
 ]:
-    """Maps of one size in a grid, resampled if their longer side has more than `side` cells.
+    """Maps of one place and size in a grid, resampled if their longer side has more than `side` cells.
 
     Returns:
       The new grids, with the maps in their upper left corners; the maps' new size; row and column there of each cell of
       the old grid; and the side length of a new cell, in old cells.
     """
-    inside = grids[0] != OUTSIDE
-    sizes = [jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0)]
+    rows_and_columns = [jnp.any(grids[0] != OUTSIDE, axis=axis) for axis in (1, 0)]
+    sizes = [jnp.sum(inside, dtype=jnp.int32) for inside in rows_and_columns]
     longest = jnp.maximum(jnp.maximum(*sizes), side)
     new_sizes = (-(-sizes[0] * side // longest), -(-sizes[1] * side // longest))
     read, there, back = [], [], []
-    for size, new_size, grid_size in zip(sizes, new_sizes, inside.shape, strict=True):
-        new = jnp.arange(min(grid_size, side))
-        read.append(nearest_pixel(new, size, new_size))
+    for inside, size, new_size in zip(rows_and_columns, sizes, new_sizes, strict=True):
+        new, first = jnp.arange(min(len(inside), side)), jnp.argmax(inside)
+        read.append(first + nearest_pixel(new, size, new_size))
         there.append(new < new_size)
-        back.append(jnp.clip(nearest_pixel(jnp.arange(grid_size), new_size, size), 0, new_size - 1))
+        back.append(jnp.clip(nearest_pixel(jnp.arange(len(inside)) - first, new_size, size), 0, new_size - 1))
     shrunk = jnp.where(there[0][:, None] & there[1], grids[:, read[0][:, None], read[1]], jnp.uint8(OUTSIDE))
     return shrunk, new_sizes, (back[0][:, None], back[1]), longest / side
-
-
-def mirrored(
-    cells: Shaped[Array, "..."], axes: tuple[int, ...], inside: Bool[Array, "h w *batch"], first: int
-) -> Shaped[Array, "..."]:
-    """Mirror the map in a grid along axes, without moving it out of its corner.
-
-    Args:
-      cells: cells of the grid; rows are axis `first`.
-      axes: axes of the grid, 0 for rows and 1 for columns.
-      inside: cells of the map.
-      first: number of axes before the rows.
-    """
-    for axis in axes:
-        size = jnp.sum(jnp.any(inside, axis=[other for other in range(inside.ndim) if other != axis]), dtype=jnp.int32)
-        cells = jnp.roll(jnp.flip(cells, first + axis), size - inside.shape[axis], first + axis)
-    return cells

@@ -29,10 +29,8 @@ from dc2g_jax._src.planning.planners import (
     Frontier,
     Plan,
     Planner,
-    PlannerLike,
     asks,
     assess,
-    memoryless,
     plan_to,
     sensing_of,
 )
@@ -98,7 +96,7 @@ class Bounded(Planner):
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
     which frontier exploration reaches a goal, whatever the wrapped planner decides, if cells keep their class. On other
-    maps the wrapped planner is free once frontier exploration has failed.
+    maps the wrapped planner is free once frontier exploration has failed. Each decision counts as an action.
 
     Attributes:
       planner: the wrapped planner.
@@ -115,15 +113,12 @@ class Bounded(Planner):
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
     batch_per_core: ClassVar[int] = DC2G.batch_per_core
+    knows_outside: ClassVar[bool] = False  # type: ignore[assignment]  # the bound is by rows and columns
 
     @property
     def estimator(self) -> Any:
         """The estimator of the wrapped planner, if it has one."""
         return self.planner.estimator  # type: ignore[attr-defined]
-
-    def memoryless(self) -> PlannerLike:
-        """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""
-        return memoryless(self.planner)
 
     def init(self, world: World) -> BoundedState:
         """The wrapped planner's state. The shadow starts at the first decision, at the robot's pose."""

@@ -24,6 +24,7 @@ from dc2g_jax._src.planning.planners import (
     observed_terrain,
     preferred_poses,
     reachable_cells,
+    without_choice,
 )
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.runtime.programs import apart
@@ -153,7 +154,5 @@ class ChoosingPlanner(Planner):
         return Assessment(plan, reachable, rated, state.score), state._replace(reachable=reachable)
 
     def revised(self, state: Chosen, changed: Board) -> Chosen:
-        """The state without ground and choice: both can be lost."""
-        del changed
-        nothing = jnp.zeros_like(state.reachable)
-        return state._replace(reachable=nothing, subgoals=every_heading(nothing))
+        """See `planners.without_choice`."""
+        return without_choice(state, changed)

@@ -42,7 +42,7 @@ class Candidate(NamedTuple):
         of the planner's selection rule; `None` for planners without predictions.
       distance: actions from the robot to this pose.
       score: the planner's score; the lowest wins. For `dc2g`, the cost-to-go plus what the way to the candidate counts
-        for, plus `penalty`; for frontier exploration, the distance.
+        for, plus `penalty`, all as they were when the subgoal was chosen; for frontier exploration, the distance.
       penalty: part of the score beyond cost-to-go and the way to the candidate: what it reveals.
     """
 
@@ -192,15 +192,14 @@ def _in_cells(x: int, y: int, heading: int) -> tuple[str, str]:
     return f"({x}, {y})", HEADING_NAMES[heading]
 
 
-def _sum(best: Candidate, away: str) -> str:
+def _sum(best: Candidate) -> str:
     """The terms of a candidate's score, as text."""
     if best.cost_to_go is None:
-        return f": {away} away"
-    for_distance = best.score - best.cost_to_go - best.penalty
-    others = (for_distance, away), (best.penalty, "what it reveals")
+        return ""
+    others = (best.score - best.cost_to_go - best.penalty, "the way there"), (best.penalty, "what it reveals")
     shown = [f"{best.cost_to_go:.1f} predicted cost-to-go"]
     shown += [f"{'-' if value < 0 else '+'} {abs(value):.1f} for {what}" for value, what in others if abs(value) > 0.05]
-    return f" = {' '.join(shown)}" + ("" if abs(for_distance) > 0.05 else f", {away} away")
+    return f" = {' '.join(shown)}"
 
 
 def explain(
@@ -232,7 +231,7 @@ def explain(
     best, *others = candidates
     what, digits = "is the nearest", 0
     if best.cost_to_go is not None or best.score != best.distance:
-        what, digits, details = "has the lowest score", 1, f"{best.score:.1f}{_sum(best, away)}"
+        what, digits, details = "has the lowest score", 1, f"{best.score:.1f}{_sum(best)}, {details}"
     if not others:
         return f"{subgoal} is the only candidate, {details}"
     second = others[0]

@@ -9,18 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax._src.estimation.estimators import PLAIN_CLASSES, Estimates, Estimator, Extent, trait, update_where
 from dc2g_jax._src.estimation.extents import TownWindow
-from dc2g_jax._src.estimation.padding import mirrored, padded
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet, every_heading
 from dc2g_jax._src.grid.squares import at_cells, corner_sums, in_rectangle
 from dc2g_jax._src.grid.streets import in_town
-from dc2g_jax._src.grid.terrain import OUTSIDE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import (
@@ -32,7 +30,7 @@ from dc2g_jax._src.planning.planners import (
     observed_terrain,
     reachable_cells,
     summarized,
-    with_summary,
+    without_choice,
 )
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.planning.selection import mean_of, mean_outcome
@@ -85,7 +83,7 @@ class ScoredChoice(NamedTuple):
 
     Attributes:
       reachable: reachable cells at the last step.
-      subgoal: the pose chosen last.
+      subgoals: the pose chosen last.
       chosen_from: cells that had been observed then.
       candidates: the candidates then.
       estimates: the estimator's last two answers, the newest first.
@@ -94,7 +92,7 @@ class ScoredChoice(NamedTuple):
     """
 
     reachable: Board
-    subgoal: PoseSet
+    subgoals: PoseSet
     chosen_from: Board
     candidates: Candidates
     estimates: tuple[Estimates, Estimates]
@@ -182,47 +180,6 @@ def weights_of(score: Mapping[str, Any]) -> Float[Array, "term"]:
 
 
 @struct.dataclass
-class BothViews(Estimator):
-    """The mean of an estimator's answers to the map and to its mirror image.
-
-    Attributes:
-      estimator: the estimator.
-    """
-
-    estimator: Estimator
-
-    @property
-    def knows_outside(self) -> bool:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.estimator, "knows_outside")
-
-    @property
-    def needs_classes(self) -> bool:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.estimator, "needs_classes")
-
-    @property
-    def extent(self) -> Extent:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.estimator, "extent")
-
-    def init(self, world: World) -> Any:
-        """See `Estimator`."""
-        return self.estimator.init(world)
-
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The mean. The grid may be larger than the map."""
-        inside = terrain != OUTSIDE
-        # Both views are one batch, so that the compiled program contains the network only once.
-        terrain, state = jax.tree.map(
-            lambda own, turned: jnp.stack([own, turned], axis=-1),
-            (terrain, state), (mirrored(terrain, (1,), inside, 0), state),
-        )  # fmt: skip
-        answers = self.estimator.estimate(terrain, state)
-        return (answers[..., 0] + mirrored(answers[..., 1], (1,), inside, 1)) / 2
-
-
-@struct.dataclass
 class LearnedScore(Planner):
     """Heads for the candidate with the lowest score, or for the goal once it is reachable.
 
@@ -266,16 +223,9 @@ class LearnedScore(Planner):
     terms: ClassVar[tuple[str, ...]] = TERMS
 
     @property
-    def knows_outside(self) -> bool:  # type: ignore[override]
+    def knows_outside(self) -> bool:
         """See `Planner`."""
-        return self.estimator is None or trait(self.estimator, "knows_outside")
-
-    def memoryless(self) -> "LearnedScore":
-        """This planner for a single robot with a new state at every step, on maps of any size."""
-        if self.estimator is None:
-            return self
-        estimator, summary = with_summary(padded(self.estimator), self.summary)
-        return dataclasses.replace(self, estimator=BothViews(estimator), summary=summary)
+        return self.estimator is None or super().knows_outside
 
     def init(self, world: World) -> ScoredChoice:
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
@@ -305,7 +255,7 @@ class LearnedScore(Planner):
         reachable = reachable_cells(belief, state.reachable)
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         due = choice_is_due(
-            belief, reachable, revealing, state.subgoal, state.chosen_from, self.rules, self.replan_fraction
+            belief, reachable, revealing, state.subgoals, state.chosen_from, self.rules, self.replan_fraction
         )
         return due & self._readable(belief, belief.seen), (due, reachable, revealing)
 
@@ -362,7 +312,7 @@ class LearnedScore(Planner):
             latest = jnp.where(known, merged, estimates[0])
             # The first estimate stands for both views.
             estimates = latest, jnp.where(known & knew, estimates[0], latest)
-        found = self.candidates(belief, reachable, revealing, state.subgoal, mean_of(estimates)[0])
+        found = self.candidates(belief, reachable, revealing, state.subgoals, mean_of(estimates)[0])
         valid = jnp.all(~found.present | (found.score == found.score), axis=0)
         order = jnp.where(found.present, _as_integers(found.score), jnp.iinfo(jnp.int32).max)
         best = jnp.argmin(order, axis=0).astype(jnp.int32)[None]
@@ -375,7 +325,7 @@ class LearnedScore(Planner):
         """Head for the chosen pose, or for the goal. Candidates and scores are those of the choice."""
         _, (due, reachable, revealing) = looked
         state = update_where(functools.partial(self.choose, ask=ask), due, (belief, reachable, revealing), state)
-        plan = explore_or_finish(belief, reachable, state.subgoal & revealing, self.rules)
+        plan = explore_or_finish(belief, reachable, state.subgoals & revealing, self.rules)
         penalty = _weighted(self.weights[_REVEALS], state.candidates.terms[_REVEALS])
         candidates, score, penalty = _on_map(belief, state.candidates, penalty)
         assessment = Assessment(plan, reachable, candidates & revealing, score)
@@ -384,12 +334,8 @@ class LearnedScore(Planner):
         return assessment, state._replace(reachable=reachable)
 
     def revised(self, state: ScoredChoice, changed: Board) -> ScoredChoice:
-        """The state without reachable cells, which may be lost. Another choice is due if observed cells changed."""
-        return state._replace(
-            reachable=jnp.zeros_like(state.reachable),
-            chosen_from=state.chosen_from & ~changed,
-            subgoal=jnp.where(bitboard.is_empty(changed), state.subgoal, jnp.uint32(0)),
-        )
+        """See `planners.without_choice`."""
+        return without_choice(state, changed)
 
 
 def _on_map(

@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.estimators import Estimator, trait
+from dc2g_jax._src.estimation.padding import padded
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
@@ -28,15 +29,13 @@ from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax._src.planning.inputs import map_of, numbers_of
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import (
-    EXPLORE,
-    MODE_NAMES,
     Assessment,
     Planner,
     PlannerLike,
     asks,
     assess,
+    can_be_revised,
     distances_and_scores,
-    memoryless,
 )
 from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
@@ -52,6 +51,9 @@ _SMALLEST_GRID = 256
 #: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
 #: cells; with this margin, even the smallest map looks like one of them.
 _OPEN_MARGIN = 24
+
+#: Number of cells that it is wider at first, so that the frame does not change whenever the map grows.
+_OPEN_ROOM = 8
 
 
 def view_of(belief: Belief, assessment: Assessment) -> View:
@@ -69,33 +71,85 @@ def view_of(belief: Belief, assessment: Assessment) -> View:
 _OPTIONS = {**ONE_OPERATION_OPTIONS, "xla_backend_optimization_level": 2}
 
 
+class _Frame(NamedTuple):
+    """Where the planner's own grid lies, in the coordinates of the decisions, and its rows and columns."""
+
+    left: int
+    top: int
+    rows: int
+    columns: int
+
+
+class _Memory(NamedTuple):
+    """What is kept between calls: the frame, the map in it, and the planner's state."""
+
+    frame: _Frame
+    terrain: UInt8[np.ndarray, "h w"]
+    state: Any
+
+
+def _observed(terrain: UInt8[Array, "h w"]) -> UInt8[Array, "h w"]:
+    """The map without the cells beyond it."""
+    return jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
+
+
+@jit
+def _first_state(planner: PlannerLike, terrain: UInt8[Array, "h w"]) -> Any:
+    """The planner's state at the start of a search, before it has seen the map."""
+    return planner.init(World.from_terrain(_observed(terrain)))
+
+
 @functools.partial(jit, static_argnames=("rules",), compiler_options=_OPTIONS)
-def _look(planner: PlannerLike, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> View:
-    """The inputs of a decision, given class indices that are `OUTSIDE` beyond the map, and column, row and heading.
+def _look(
+    planner: PlannerLike,
+    state: Any,
+    before: UInt8[Array, "h w"],
+    terrain: UInt8[Array, "h w"],
+    pose: Int[Array, "3"],
+    *,
+    rules: Rules,
+) -> tuple[View, Any]:
+    """The inputs of a decision, and the planner's state after it.
 
     What comes before and after a network is one operation each.
+
+    Args:
+      planner: the planner.
+      state: its state after the last decision.
+      before: class indices then.
+      terrain: class indices now, `OUTSIDE` beyond the map.
+      pose: column, row and heading.
+      rules: field of view and definition of frontiers.
     """
 
-    def begin(terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Belief, Any, Any]:
-        observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
-        belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
-        state = planner.init(World.from_terrain(observed))
+    def begin(
+        state: Any, before: UInt8[Array, "h w"], terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]
+    ) -> tuple[Belief, Any, Any]:
+        outside = bitboard.pack(terrain == OUTSIDE)
+        belief = dataclasses.replace(belief_from_map(_observed(terrain), Pose(*pose)), outside=outside)
+        if can_be_revised(planner):
+            state = planner.revised(state, bitboard.pack(_changed(before, terrain)))
         return belief, state, planner.look(belief, state) if asks(planner) else None
 
-    def conclude(planner: PlannerLike, belief: Belief, state: Any, looked: Any, answer: Any) -> View:
+    def conclude(planner: PlannerLike, belief: Belief, state: Any, looked: Any, answer: Any) -> tuple[View, Any]:
         if looked is None:
-            assessment, _ = assess(planner, belief, state, rules)
+            assessment, state = assess(planner, belief, state, rules)
         else:
-            assessment, _ = planner.conclude(belief, state, looked, lambda *_: answer)
-        return view_of(belief, assessment)
+            assessment, state = planner.conclude(belief, state, looked, lambda *_: answer)
+        return view_of(belief, assessment), state
 
-    belief, state, looked = one_operation(begin, terrain, pose)
+    belief, state, looked = one_operation(begin, state, before, terrain, pose)
     answer = None
     if looked is not None:
         told = jax.eval_shape(planner.ask, belief, state)
         nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), told)
         answer = jax.lax.cond(looked[0], lambda: planner.ask(belief, state), lambda: nothing)
     return one_operation(conclude, planner, belief, state, looked, answer)
+
+
+def _changed(before: Any, now: Any) -> Any:
+    """Cells that had been observed and are of another class now, or unobserved again."""
+    return (before != UNKNOWN) & (before != now)
 
 
 class OnlinePlanner:
@@ -106,10 +160,14 @@ class OnlinePlanner:
     decision = planner.plan(grid, (x, y, heading))
     ```
 
-    Each call plans from the map alone, so its cells may change in any way. (Therefore the network evaluates both the
-    map and its mirror image at every call.) There is one exception: while the map is unchanged, a robot on the path of
-    the last decision keeps its subgoal. So exploration ends if the robot observes everything in its field of view at
-    every pose that it reaches. Mark cells that its sensor cannot classify as `nothing`.
+    The calls are those of one search. On a map of known size whose cells keep their class, a robot that takes the
+    actions one by one decides as in a rollout. Cells may still change in any way: the planner then chooses again (see
+    `Planner.revised`; planners without it start anew). A search starts anew if most of the observed cells are no longer
+    what they were, or if the map's size or origin changes; in an open-ended world, only if the map grows beyond the
+    planner's margin of unobserved cells.
+
+    Exploration ends if the robot observes everything in its field of view at every pose that it reaches. Mark cells
+    that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for its largest grid and, beyond 512 cells a side, also for smaller ones.
     Each takes three to ten seconds of CPU time, and more for longer sensing ranges. The programs are kept on disk (see
@@ -166,20 +224,23 @@ class OnlinePlanner:
         if field_of_view is not None and own.offsets != asked.sensing.offsets:
             theirs = "something else" if own.degrees is None else f"{own.degrees:g} degrees"
             raise InputError(f"field_of_view {field_of_view:g}: the planner's rules say {theirs}; leave it out")
-        self._planner = memoryless(planner)
-        self._last: tuple[Any, tuple[RobotPose, ...]] | None = None  # the last map, and the path of the decision on it
+        self._planner = jax.tree.map(padded, planner, is_leaf=lambda node: trait(node, "is_compact"))
+        self._memory: _Memory | None = None
         self.largest = rows, columns
         self._margin = max(_OPEN_MARGIN, sensing_range) if open_ended else 0
-        reader = getattr(self._planner, "estimator", None)
-        reader = self._planner if reader is None else reader
-        self._pads_maps = getattr(reader, "knows_outside", Planner.knows_outside)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
+        self._pads_maps = getattr(self._planner, "knows_outside", False)
         self._shapes = shapes if self._pads_maps else shapes[-1:]
         for shape in self._shapes:
             terrain = np.full(shape, UNKNOWN, np.uint8)
             terrain[0, 0] = ROAD  # a class, so that the network runs as well
-            self._view(terrain, RobotPose(0, 0, 0))
+            state = _first_state(self._planner, terrain)
+            for _ in range(2):  # the state of a planner of one's own may change its types at the first step
+                given = self._planner, state, terrain, terrain, np.zeros(3, np.int32)
+                _, state = _look(*given, rules=self.rules)
+        # Without another look at all classes, which takes a tenth of a call.
+        self._look = functools.partial(_look.of(given, {"rules": self.rules}), rules=self.rules)
 
     def plan(self, grid: npt.ArrayLike, pose: npt.ArrayLike, *, origin: npt.ArrayLike = (0, 0)) -> Decision:
         """Decide the next action (Algorithm 2).
@@ -199,31 +260,49 @@ class OnlinePlanner:
         left, top = numbers_of("origin", origin, 2, whole=True)
         checked = _checked_grid(grid, self.largest)
         robot = _checked_pose(pose, checked, left, top)
-        left, top = left - self._margin, top - self._margin
-        view = self._view(self._padded(checked), RobotPose(robot.x - left, robot.y - top, robot.heading))
-        map_now, before = (left, top, checked.shape, checked.tobytes()), self._last
-        if before is not None and before[0] == map_now and robot in before[1][:-1]:
-            x, y, heading = before[1][-1]
-            subgoals = np.zeros_like(view.subgoals)
-            subgoals[heading, y - top, x - left] = True
-            view = view._replace(subgoals=subgoals)
-        decision = decide(view, left, top)
-        self._last = (map_now, decision.path) if decision.mode == MODE_NAMES[EXPLORE] else None
+        frame, memory = self._frame(left, top, *checked.shape), self._memory
+        terrain = self._framed(checked, left, top, frame)
+        if memory is None:
+            memory = _Memory(frame, terrain, _first_state(self._planner, terrain))
+        elif not self._goes_on(memory, frame, terrain):
+            self._memory = None
+            return self.plan(grid, pose, origin=origin)
+        here = np.array([robot.x - frame.left, robot.y - frame.top, robot.heading], np.int32)
+        view, state = self._look(self._planner, memory.state, memory.terrain, terrain, here)
+        decision = decide(jax.tree.map(np.asarray, view), frame.left, frame.top)
+        self._memory = _Memory(frame, terrain, state)
         return decision
 
-    def _padded(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
-        """The map with its margin, in the upper left corner of the smallest compiled grid that fits it."""
-        height, width = grid.shape
-        rows, columns = height + 2 * self._margin, width + 2 * self._margin
+    def _frame(self, left: int, top: int, rows: int, columns: int) -> _Frame:
+        """The frame of a map: in an open-ended world, the last one while there is a margin around the map."""
+        if not self._margin:
+            return _Frame(left, top, rows, columns)
+        if self._memory is not None:
+            last = self._memory.frame
+            before = min(left - last.left, top - last.top)
+            after = min(last.left + last.columns - left - columns, last.top + last.rows - top - rows)
+            if min(before, after) >= self._margin:
+                return last
+        room = min(most - side for most, side in zip(self.largest, (rows, columns), strict=True)) // 2
+        margin = self._margin + min(_OPEN_ROOM, room)
+        return _Frame(left - margin, top - margin, rows + 2 * margin, columns + 2 * margin)
+
+    def _framed(self, grid: UInt8[np.ndarray, "h w"], left: int, top: int, frame: _Frame) -> UInt8[np.ndarray, "h2 w2"]:
+        """The map in its frame, in the upper left corner of the smallest compiled grid that fits it."""
+        rows, columns = frame.rows, frame.columns
         fitting = (shape for shape in self._shapes if rows <= shape[0] and columns <= shape[1])
         terrain = np.full(next(fitting) if self._pads_maps else (rows, columns), OUTSIDE, np.uint8)
         terrain[:rows, :columns] = UNKNOWN
-        terrain[self._margin : rows - self._margin, self._margin : columns - self._margin] = grid
+        terrain[top - frame.top :, left - frame.left :][: grid.shape[0], : grid.shape[1]] = grid
         return terrain
 
-    def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
-        """The inputs of a decision, computed in one call of the device."""
-        return jax.tree.map(np.asarray, _look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules))
+    def _goes_on(self, memory: _Memory, frame: _Frame, terrain: UInt8[np.ndarray, "h w"]) -> bool:
+        """Whether the search goes on: with the map as it was, or one that the planner can revise its state for."""
+        if frame != memory.frame:
+            return False
+        changed = np.count_nonzero(_changed(memory.terrain, terrain))
+        observed = np.count_nonzero((memory.terrain != UNKNOWN) & (memory.terrain != OUTSIDE))
+        return bool(changed == 0 or (can_be_revised(self._planner) and 2 * changed <= observed))
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:

@@ -6,7 +6,6 @@ A planner is a frozen dataclass and a pytree. Learned parameters (an estimator's
 static. So one compiled program serves every checkpoint of the same architecture.
 """
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
@@ -16,8 +15,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimates, Estimator, extent_of, update_where
-from dc2g_jax._src.estimation.padding import padded
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, extent_of, trait, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, check_axes, check_poses
@@ -97,12 +95,14 @@ class Planner:
     Attributes:
       batch_per_core: number of robots to simulate side by side on one CPU core. One is fastest, except
         for computing answers.
-      knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
-        takes what the estimator takes.
     """
 
     batch_per_core: ClassVar[int] = 1
-    knows_outside: ClassVar[bool] = False
+
+    @property
+    def knows_outside(self) -> bool:
+        """Whether it takes maps in a larger grid, as `OnlinePlanner` pads them: if its estimator, if any, does."""
+        return trait(getattr(self, "estimator", None), "knows_outside")
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -143,10 +143,6 @@ class Planner:
         """The state without what is invalid after these cells changed their class, as on maps from a camera."""
         raise InputError(f"planner {type(self).__name__}: maps change here, and it has no method revised; define one")
 
-    def memoryless(self) -> "Planner":
-        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
-        return self
-
 
 #: A planner: any object with `init` and `plan`, whether it derives from `Planner` or not.
 PlannerLike = Any
@@ -155,6 +151,11 @@ PlannerLike = Any
 def _inherits(planner: PlannerLike, *methods: str) -> bool:
     """Whether these methods of a planner are those of `Planner`."""
     return all(getattr(type(planner), method, None) is getattr(Planner, method) for method in methods)
+
+
+def can_be_revised(planner: PlannerLike) -> bool:
+    """Whether a planner has a method `revised` of its own."""
+    return hasattr(planner, "revised") and not _inherits(planner, "revised")
 
 
 def asks(planner: PlannerLike) -> bool:
@@ -172,11 +173,6 @@ def assess(planner: PlannerLike, belief: Belief, state: Any, rules: Rules) -> tu
     plan, state = planner.plan(belief, state)
     reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
     return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
-
-
-def memoryless(planner: PlannerLike) -> PlannerLike:
-    """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
-    return planner.memoryless() if hasattr(planner, "memoryless") else planner
 
 
 def sensing_of(planner: PlannerLike, given: Kernel | None = None, name: str | None = None) -> Kernel:
@@ -298,7 +294,7 @@ class Frontier(Planner):
     """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
-    knows_outside: ClassVar[bool] = True
+    knows_outside: ClassVar[bool] = True  # type: ignore[assignment]
 
     def init(self, world: World) -> Board:
         """Nothing is reachable before the first observation."""
@@ -326,8 +322,8 @@ class Frontier(Planner):
         return Assessment(plan, reachable, candidates), reachable
 
     def revised(self, state: Board, changed: Board) -> Board:
-        """An empty state, since ground can be lost."""
-        return jnp.zeros_like(state)
+        """The ground, or nothing if some of it can be lost."""
+        return jnp.where(bitboard.is_empty(changed), state, jnp.uint32(0))
 
 
 def preferred_poses(belief: Belief, reachable: Board, revealing: PoseSet, rules: Rules) -> PoseSet:
@@ -360,6 +356,19 @@ def choice_is_due(
     news = bitboard.count(belief.seen ^ chosen_from)
     enough = max(1.0, replan_fraction * len(rules.sensing.offsets[0]))
     return undecided & ((news >= enough) | poses.is_empty(subgoals & revealing))
+
+
+def without_choice(state: Any, changed: Board) -> Any:
+    """A state whose `reachable` cells, `chosen_from` and `subgoals` are as if these cells had not been observed.
+
+    If there are any, ground may be lost, and another choice is due.
+    """
+    same = bitboard.is_empty(changed)
+    return state._replace(
+        reachable=jnp.where(same, state.reachable, jnp.uint32(0)),
+        chosen_from=state.chosen_from & ~changed,
+        subgoals=jnp.where(same, state.subgoals, jnp.uint32(0)),
+    )
 
 
 def with_summary(estimator: Estimator, summary: Callable[[Array], Array]) -> tuple[Estimator, Callable[[Array], Array]]:
@@ -418,10 +427,6 @@ class DC2G(Planner):
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     batch_per_core: ClassVar[int] = 16
 
-    def memoryless(self) -> "DC2G":
-        """This planner for a single robot with a new state at every step, on maps of any size."""
-        return dataclasses.replace(self, estimator=padded(self.estimator))
-
     def init(self, world: World) -> "Choice":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
         nothing, state = jnp.zeros_like(world.traversable), self.estimator.init(world)
@@ -474,12 +479,8 @@ class DC2G(Planner):
         return Assessment(plan, reachable, candidates, score, mean_of(state.estimate)), state
 
     def revised(self, state: "Choice", changed: Board) -> "Choice":
-        """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
-        return state._replace(
-            reachable=jnp.zeros_like(state.reachable),
-            chosen_from=state.chosen_from & ~changed,
-            subgoals=jnp.where(bitboard.is_empty(changed), state.subgoals, jnp.uint32(0)),
-        )
+        """See `without_choice`."""
+        return without_choice(state, changed)
 
 
 class Choice(NamedTuple):

@@ -53,8 +53,8 @@ class jit:
         self._programs: dict[tuple[type, ...], Any] = {}
         self._lock = threading.Lock()
 
-    def _of(self, args: Any, kwargs: Any) -> Any:
-        """The program of these arguments' classes."""
+    def of(self, args: Any, kwargs: Any) -> Any:
+        """The `jax.jit` of these arguments' classes, for those who call it often with the same ones."""
         types = node_types((args, kwargs))
         with self._lock:  # or two threads would each compile one
             if types not in self._programs:
@@ -65,15 +65,15 @@ class jit:
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run the function, compiled."""
-        return self._of(args, kwargs)(*args, **kwargs)
+        return self.of(args, kwargs)(*args, **kwargs)
 
     def lower(self, *args: Any, **kwargs: Any) -> Any:
         """Lower the function for these arguments, as `jax.jit` does."""
-        return self._of(args, kwargs).lower(*args, **kwargs)
+        return self.of(args, kwargs).lower(*args, **kwargs)
 
     def trace(self, *args: Any, **kwargs: Any) -> Any:
         """Trace the function for these arguments, as `jax.jit` does."""
-        return self._of(args, kwargs).trace(*args, **kwargs)
+        return self.of(args, kwargs).trace(*args, **kwargs)
 
     def compiled_count(self) -> int:
         """Number of compiled programs that are kept."""

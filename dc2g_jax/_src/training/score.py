@@ -250,7 +250,7 @@ def _tried(planner: LearnedScore, worlds: World, start: Pose, numbers: Array, *,
             place = jnp.where(number == 0, 0, numbers[1 + number] % among)
             square = jnp.argmax((rank == place) & found.present[:, 0]).astype(jnp.int32)
             pose = jax.tree.map(lambda values: values[square], found.pose)
-            forced = chosen._replace(subgoal=only(pose, *world.goals.shape[:2]))
+            forced = chosen._replace(subgoals=only(pose, *world.goals.shape[:2]))
             value = _value(planner, world, belief, forced, limit)
             return found.terms[:, square, 0], found.cost[square, 0], value[0]
 
