@@ -230,18 +230,27 @@ def test_in_towns_larger_than_its_network_the_surroundings_are_asked_about():
 
 def test_weights_of_other_terms_are_refused():
     score = named(random_weights(6))
-    np.testing.assert_array_equal(weights_of(score), random_weights(6))
-    np.testing.assert_array_equal(weights_of(dict(reversed(score.items()))), random_weights(6))
     for other in (score | {"color": 1.0}, {term: score[term] for term in TERMS[1:]}):
-        refusal(lambda other=other: weights_of(other), ", ".join(TERMS), "train the score anew")
+        refusal(lambda other=other: weights_of({"90": other}), ", ".join(TERMS), "train the score anew")
+
+
+def test_weights_are_those_of_the_nearest_field_of_view():
+    narrow, wide = named(random_weights(6)), named(random_weights(7))
+    score = {"90": dict(reversed(narrow.items())), "360": wide}
+    for degrees, seed in ((None, 6), (1, 6), (90, 6), (170, 6), (190, 7), (360, 7)):
+        np.testing.assert_array_equal(weights_of(score, degrees), random_weights(seed))
+    np.testing.assert_array_equal(weights_of({"90": narrow}, 360), random_weights(6))
 
 
 @pytest.mark.parametrize(
     ("score", "words"),
     [
-        ([1.0], "JSON object"),
-        ({"actions": "high"}, "weight of actions 'high'"),
-        ({"gain": True}, "weight of gain True"),
+        ([1.0], "is [1.0], not weights by degrees"),
+        ({}, "is {}, not weights by degrees"),
+        ({"actions": 1.0}, "not weights by degrees"),
+        ({"wide": {}}, "field of view of the score 'wide'"),
+        ({"90": {"actions": "high"}}, "weight of actions 'high'"),
+        ({"90": {"gain": True}}, "weight of gain True"),
     ],
 )
 def test_a_network_whose_score_has_no_numbers_is_refused(score, words, compact_network, tmp_path):

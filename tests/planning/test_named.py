@@ -58,7 +58,7 @@ def test_a_planner_shows_itself_without_private_modules(name):
 
 
 def test_planners_on_a_network_go_by_the_score_that_was_learned_with_it():
-    learned = {term: np.float32(number) for number, term in enumerate(TERMS)}
+    learned = {"90": {term: np.float32(number) for number, term in enumerate(TERMS)}}
     network = dataclasses.replace(open_estimator(None), score=learned)
     terrain = jnp.asarray(maps.random_terrain(0, (50, 50), 0.7, doors=1))
     for estimator, score in ((network, learned), (ExactCostToGo(), open_estimator(None).score)):

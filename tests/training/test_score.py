@@ -11,7 +11,7 @@ from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED
 from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
-from dc2g_jax._src.planning.named import planner_with
+from dc2g_jax._src.planning.named import open_estimator, planner_with
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.training.score import START, ScoreConfig, Tried, fitted, searches_in, try_candidates, values
@@ -104,18 +104,21 @@ def test_the_best_candidate_is_tried_first():
         assert (score[:, 0] <= score.min(axis=1) + 1e-3).all()
 
 
-SMALL = ScoreConfig(rounds=1, maps=8, houses=4, starts=2, sides=(40,))
+SMALL = ScoreConfig(rounds=1, maps=8, houses=4, starts=2, sides=(40,), field_of_view=180)
 
 
 @pytest.mark.slow
 def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
     out = tmp_path / "out"
     trained = train(out, "procedural", config=SMALL, split=None)
-    assert {*trained.network.score} == {*TERMS}
+    assert trained.network.score.keys() == open_estimator(None).score.keys() | {"180"}
+    learned = trained.network.score["180"]
+    assert {*learned} == {*TERMS}
     assert "on fresh maps" in capsys.readouterr().out
     round_1 = json.loads((out / "round-1.json").read_text())
-    assert round_1["weights"] == {term: pytest.approx(float(trained.network.score[term])) for term in TERMS}
-    planner = planner_with("dc2g", RULES, network_in_folder(save_network(tmp_path / "copy", trained.network)))
+    assert round_1["weights"] == {term: pytest.approx(float(learned[term])) for term in TERMS}
+    rules = complete_rules(8, degrees=180)
+    planner = planner_with("dc2g", rules, network_in_folder(save_network(tmp_path / "copy", trained.network)))
     assert np.allclose(planner.weights, list(round_1["weights"].values()))
     before = (out / "round-1-1.npz").stat().st_mtime_ns
     train(out, "procedural", config=SMALL, split=None)
@@ -131,8 +134,9 @@ def test_what_makes_no_sense_is_refused(tmp_path):
         refusal(lambda: train(tmp_path / "out", "procedural", config=config), said, "give")  # noqa: B023
     refusal(lambda: train(tmp_path / "out", tmp_path / "none", config=SMALL), "none", "give")
     assert not (tmp_path / "out").exists()
-    folder = save_network(tmp_path / "net", random_network(Architecture(widths=(4, 8))), {"score": {"gain": "much"}})
+    network = random_network(Architecture(widths=(4, 8)))
+    folder = save_network(tmp_path / "net", network, {"score": {"90": {"gain": "much"}}})
     refusal(lambda: network_in_folder(folder), "network.json: weight of gain 'much'", "train the score anew")
-    save_network(folder, random_network(Architecture(widths=(4, 8))), {"score": {"gain": -1}})
+    save_network(folder, network, {"score": {"90": {"gain": -1}}})
     refusal(lambda: planner_with("dc2g", RULES, network_in_folder(folder)), "has the terms gain", "--target steps")
     assert [START[term] for term in ("actions", "log_gain", "kept")] == [1.0, -10.0, -2.0]

@@ -216,7 +216,7 @@ class _Slope:
 def test_scores_are_those_the_planner_goes_by():
     """The map and its mirror image are asked about in turn, and scores are those of the last choice."""
     weights = dict(zip(TERMS, np.random.default_rng(0).normal(size=len(TERMS)).round(2).tolist(), strict=True))
-    planner = LearnedScore(_RULES, weights_of(weights), _Slope())
+    planner = LearnedScore(_RULES, weights_of({"90": weights}), _Slope())
     actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
     world = World.from_terrain(_TERRAIN)
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)

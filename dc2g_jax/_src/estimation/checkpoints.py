@@ -21,8 +21,9 @@ from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax._src.estimation.weights import read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import arrays_sha256
-from dc2g_jax._src.files.reading import number, read_object, whole_number
+from dc2g_jax._src.files.reading import finite_number, number, read_object, whole_number
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.grid.sensing import check_degrees
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.runtime.errors import InputError, check_number, require_extra, short
 from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
@@ -126,7 +127,7 @@ def write_network(
 
 def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, Any] | None = None) -> Path:
     """Save a compact network, or one of the user's own in its place, see `write_network`."""
-    score = {} if network.score is None else {"score": {term: float(weight) for term, weight in network.score.items()}}
+    score = {} if network.score is None else {"score": jax.tree.map(float, dict(network.score))}
     return write_network(folder, network.weights, network.architecture, COMPACT, {**score, **(card or {})})
 
 
@@ -215,12 +216,15 @@ def network_in_folder(folder: str | os.PathLike[str] | None = None) -> Any:
     network = kind.estimator(weights=weights, architecture=architecture)
     if not isinstance(network, NetworkCostToGo) or "score" not in card:
         return network
-    score = card["score"]
-    if not isinstance(score, dict):
-        raise InputError(f"{place / CARD}: its score is {short(score)}, which is no JSON object; train the score anew")
-    for term, weight in score.items():
-        check_number(f"{place / CARD}: weight of {term}", weight, hint="train the score anew")
-    return dataclasses.replace(network, score={term: jnp.float32(weight) for term, weight in score.items()})
+    score, remedy = card["score"], "train the score anew"
+    if not isinstance(score, dict) or not score or not all(isinstance(terms, dict) for terms in score.values()):
+        raise InputError(f"{place / CARD}: its score is {short(score)}, not weights by degrees and term; {remedy}")
+    for degrees, terms in score.items():
+        where = f"{place / CARD}: field of view of the score"
+        check_degrees(where, finite_number(where, degrees, remedy))
+        for term, weight in terms.items():
+            check_number(f"{place / CARD}: weight of {term}", weight, hint=remedy)
+    return dataclasses.replace(network, score=jax.tree.map(jnp.float32, score))
 
 
 def newest_step(folder: str | Path) -> int:

@@ -61,8 +61,8 @@ class Estimator(Protocol):
       side: longer side of the maps that it was trained on, in cells; `None` if it knows maps of any size.
       is_compact: whether it is a network whose layers are those of `CompactUNet`.
       needs_classes: whether it predicts nothing from free and occupied cells alone; `LearnedScore` then does without.
-      score: weights of the terms of `planning.learned_score.LearnedScore` that were learned with it, by name; `None`
-        for those of the shipped network.
+      score: weights of the terms of `planning.learned_score.LearnedScore` that were learned with it: the width of the
+        robots' field of view in degrees -> name -> weight; `None` for those of the shipped network.
     """
 
     in_cells: ClassVar[bool] = True
@@ -71,7 +71,7 @@ class Estimator(Protocol):
     side: int | None = None
     is_compact: bool = False
     needs_classes: ClassVar[bool] = False
-    score: Mapping[str, Float[Array, ""]] | None = None
+    score: Mapping[str, Mapping[str, Float[Array, ""]]] | None = None
 
     def init(self, world: World) -> Any:
         """The state for an episode in `world`. Only a privileged estimator may read the world.
@@ -195,7 +195,7 @@ class NetworkCostToGo(Estimator):
     architecture: Architecture = struct.field(pytree_node=False)
     summary: Callable[[Array], Array] | None = struct.field(pytree_node=False, default=None)
     needs_classes: ClassVar[bool] = True
-    score: Mapping[str, Float[Array, ""]] | None = None
+    score: Mapping[str, Mapping[str, Float[Array, ""]]] | None = None
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
         """The network's estimate for partial maps, in cells, with one outcome per quantile.

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,6 +18,7 @@ from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet, every_heading
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES
 from dc2g_jax._src.grid.squares import at_cells, corner_sums, in_rectangle
 from dc2g_jax._src.grid.streets import in_town
 from dc2g_jax._src.grid.world import World
@@ -165,18 +167,24 @@ def has_classes(belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
     return ~bitboard.is_empty(cells & ~plain)
 
 
-def weights_of(score: Mapping[str, Any]) -> Float[Array, "term"]:
-    """Weights by term as an array.
+def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = None) -> Float[Array, "term"]:
+    """The weights of `TERMS` that were learned with the field of view nearest in width.
+
+    Args:
+      score: see `estimation.estimators.Estimator`.
+      degrees: width of the field of view; `None` for the paper's.
 
     Raises:
       InputError: a term is missing, or unknown.
     """
-    if {*score} != {*TERMS}:
+    wanted = PAPER_DEGREES if degrees is None else degrees
+    terms = score[min(score, key=lambda learned: abs(math.log(float(learned) / wanted)))]
+    if {*terms} != {*TERMS}:
         raise InputError(
-            f"the network's score has the terms {', '.join(score)}; expected {', '.join(TERMS)}; train the score anew "
+            f"the network's score has the terms {', '.join(terms)}; expected {', '.join(TERMS)}; train the score anew "
             "(dc2g train --target steps)"
         )
-    return jnp.asarray([score[term] for term in TERMS], jnp.float32)
+    return jnp.asarray([terms[term] for term in TERMS], jnp.float32)
 
 
 @struct.dataclass

@@ -21,7 +21,7 @@ from dc2g_jax._src.runtime.plugins import plugins
 
 
 @functools.cache
-def _shipped_score() -> Mapping[str, Any]:
+def _shipped_score() -> Mapping[str, Mapping[str, Any]]:
     """The weights of the score that were learned with the shipped network."""
     return open_estimator(None).score  # type: ignore[return-value]
 
@@ -34,7 +34,7 @@ def _on_network(summary: Callable[[Array], Array], estimator: Estimator, rules: 
     if not answers_in_cells(estimator):
         return DC2G(estimator, rules)
     rules = dataclasses.replace(rules, goal_poses=nearest_goal)
-    weights = weights_of(trait(estimator, "score") or _shipped_score())
+    weights = weights_of(trait(estimator, "score") or _shipped_score(), rules.sensing.degrees)
     # Summarized in the estimator, so that planners that differ in the summary share one program.
     return LearnedScore(rules, weights, *with_summary(estimator, summary))
 

@@ -23,6 +23,7 @@ from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import HEADINGS, Pose, make_pose, only
+from dc2g_jax._src.grid.sensing import PAPER_DEGREES, check_degrees
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
@@ -70,6 +71,7 @@ class ScoreConfig:
       houses: procedural houses in a round.
       starts: decisions in each house.
       sides: cells a side of the maps without classes.
+      field_of_view: width of the robots' field of view in degrees.
       seed: seed of all random numbers.
     """
 
@@ -78,6 +80,7 @@ class ScoreConfig:
     houses: int = 200
     starts: int = 8
     sides: tuple[int, ...] = (50, 80)
+    field_of_view: float = PAPER_DEGREES
     seed: int = 0
 
     def check(self) -> None:
@@ -93,6 +96,7 @@ class ScoreConfig:
             check_number(f"--{name}", getattr(self, name), whole=True, least=1)
         for side in self.sides:
             check_number("--sides", side, whole=True, least=40, most=300)
+        check_degrees("--field-of-view", self.field_of_view)
         check_number("--seed", self.seed, whole=True, least=0, most=2**32 // (2 * _MOST_ROUNDS) - 1)
 
 
@@ -373,7 +377,8 @@ def learn_score(
     weights = np.array([START.get(term, 0.0) for term in TERMS], np.float32)
     for number in range(1, config.rounds + 1):
         seed = 2 * (config.seed * _MOST_ROUNDS + number)
-        planner = LearnedScore(named_settings("paper").rules(), jnp.asarray(weights), network)
+        rules = named_settings("paper", config.field_of_view).rules()
+        planner = LearnedScore(rules, jnp.asarray(weights), network)
         for part in range(n_parts):
             path = out / f"round-{number}-{part + 1}.npz"
             if not path.exists():

@@ -361,6 +361,7 @@ def _score_learned(
     keep_config(out, config, {"after": before["sha256"], "terms": TERMS})
     last, made = learn_score(out, network, config)[-1], out / "network"
     if not (made / CARD).exists():
-        facts = {"score": last.weights, "score_training": {**dataclasses.asdict(config), **card}}
-        save_network(made, network, {**before, **facts})
+        view, how = f"{config.field_of_view:g}", {**dataclasses.asdict(config), **card}
+        new = {"score": {view: last.weights}, "score_training": {view: how}}
+        save_network(made, network, {**before, **{fact: {**before.get(fact, {}), **new[fact]} for fact in new}})
     return network_in_folder(made)

@@ -40,8 +40,8 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
     With `--target steps`, learn the cost of exploring from rollouts instead: the weights of the score by which `dc2g`
-    chooses its subgoals, for the network of --after. Of the other options below, this uses --rounds, --maps, --houses,
-    --split and --seed.
+    chooses its subgoals in one field of view, for the network of --after. Of the other options below, this uses
+    --rounds, --maps, --houses, --field-of-view, --split and --seed.
 
     Attributes:
       target: what to learn: the cost_to_go of every cell, or the steps that searches take.
@@ -165,7 +165,9 @@ def main(options: Options) -> None:
 
 def _learn_score(options: Options, dataset: HouseDataset) -> None:
     """Learn the weights of the score."""
-    config = ScoreConfig(options.rounds, options.maps, options.houses, seed=options.seed)
+    config = ScoreConfig(
+        options.rounds, options.maps, options.houses, field_of_view=options.data.field_of_view, seed=options.seed
+    )
     trained = train(
         options.out, dataset, config=config, after=options.after, split=options.split,
         card={"command": command_written(), "commit": commit()},
