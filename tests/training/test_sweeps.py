@@ -35,7 +35,7 @@ from tests.support.houses import STREET, house
 from tests.support.refusals import refusal
 from tests.support.trainings import first_state
 
-BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
+BASE = TrainingConfig(architecture=Architecture(widths=(4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
 DRAW = DataConfig(own_share=1.0, edge_weight=2.0, half_weight_cost=np.inf, jitter=0.0, whole_share=0.0).draw_batch
 
 
