@@ -56,6 +56,11 @@ settings.register_profile("tests", derandomize=True, deadline=None)
 settings.load_profile("tests")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Pages and notebooks first: they take longest, and no worker is to be left alone with one in the end."""
+    items.sort(key=lambda item: item.path.stem not in ("test_docs", "test_notebooks"))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def forget_programs():
     """Let go of what a module compiled: with thousands of programs in one process XLA crashes."""

@@ -3,6 +3,7 @@
 import pytest
 
 from dc2g_jax._src.cli.commands.sweep import Options
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from experiments import sweep_losses
 from tests.support.refusals import refusal
 
@@ -17,8 +18,9 @@ def test_options_are_the_arguments_of_the_function(tmp_path):
 @pytest.mark.slow
 def test_the_experiment_sweeps_all_losses_in_procedural_houses(tmp_path, capsys):
     options = sweep_losses.Options(
-        out=tmp_path / "losses", seeds=(0,), widths=("4,4",), steps=6, batch_size=2, split=None
-    )
+        out=tmp_path / "losses", seeds=(0,), widths=("4,4",), steps=6, batch_size=2, split=None,
+        data=DataConfig(extra_houses=0, starts_per_house=1, ranges=(8,)),
+    )  # fmt: skip
     sweep_losses.main(options)
     printed = capsys.readouterr().out
     for loss in ("quantile", "l1", "l2", "huber", "log"):

@@ -5,7 +5,6 @@ import dataclasses
 import shutil
 import subprocess
 import sys
-from typing import Any
 from unittest import mock
 
 import jax
@@ -16,6 +15,7 @@ import pytest
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.figures.training_figures import plot_sweep
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import HouseDataset
@@ -35,7 +35,7 @@ from tests.support.houses import STREET, house
 from tests.support.refusals import refusal
 from tests.support.trainings import first_state
 
-BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
+BASE = TrainingConfig(architecture=Architecture(widths=(4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
 DRAW = DataConfig(own_share=1.0, edge_weight=2.0, half_weight_cost=np.inf, jitter=0.0, whole_share=0.0).draw_batch
 
 
@@ -304,7 +304,12 @@ def sweep_houses(out, **options):
 def test_a_sweep_gives_arrays_and_goes_on_where_it_was(tmp_path):
     whole = sweep_houses(tmp_path / "whole", track="tensorboard")
     assert whole.curves.shape == (6, len(whole.steps))
+    assert np.all(np.isfinite(whole.curves))
     assert whole.steps[-1] == 3
+    assert set(whole.kinds()) == {"l1", "own_loss"}
+    assert len(str(whole).splitlines()) == 3
+    plot_sweep(whole, tmp_path / "curves")
+    assert (tmp_path / "curves.png").stat().st_size > 0
     assert list(whole.networks) == [one["run"] for one in whole.table]
     assert {path.name for path in (tmp_path / "whole" / "tensorboard").iterdir()} == set(whole.networks)
     in_turn = sweep_houses(tmp_path / "in_turn", runs_at_once=4)
@@ -363,31 +368,3 @@ def test_the_digest_of_a_loss_is_the_same_in_every_process():
 def test_a_sweep_that_cannot_be_is_refused_before_anything_is_written(tmp_path, options, words):
     refusal(lambda: sweep_houses(tmp_path / "new", **options), words)
     assert not (tmp_path / "new").exists()
-
-
-README = """
-import jax.numpy as jnp
-import dc2g_jax as dc2g
-
-def relative(estimate, target, levels):
-    return jnp.abs(estimate - target) / (0.25 + target)
-
-sweep = dc2g.sweep(
-    "outputs/sweep", "procedural", losses=["quantile", "l1", relative], seeds=[0, 1, 2], widths=[(16, 32)],
-    config=dc2g.TrainingConfig(steps=200, batch_size=8), split=None,
-)
-print(sweep)
-dc2g.plot_sweep(sweep, "outputs/sweep/curves")
-"""
-
-
-@pytest.mark.slow
-def test_the_readme_compares_two_losses_and_ones_own_from_python(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    found: dict[str, Any] = {}
-    exec(README, found)
-    assert len(capsys.readouterr().out.splitlines()) == 4
-    assert set(found["sweep"].kinds()) == {"quantile", "l1", "relative"}
-    assert len(found["sweep"].steps) >= 5
-    assert np.all(np.isfinite(found["sweep"].curves))
-    assert (tmp_path / "outputs" / "sweep" / "curves.png").stat().st_size > 0
