@@ -2,6 +2,7 @@
 
 Importing this module needs PyTorch (`pip install torch`). Of equivalent operations, those are used that PyTorch ran
 fastest on a CPU: `channels_last`, an embedding bag instead of one-hot classes, 1x1 convolutions instead of `Linear`.
+On a busy machine, set `OMP_WAIT_POLICY=PASSIVE`.
 """
 
 import math
