@@ -1,6 +1,7 @@
 """Benchmark the package against alternatives: `python -m experiments.benchmark`."""
 
 import dataclasses
+import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -26,7 +27,7 @@ from .benchmarks.recording import recording_rows
 from .benchmarks.rows import Row
 from .benchmarks.stepping import environment_rows
 from .benchmarks.sweeps import batch_rows, grid_rows, range_rows
-from .benchmarks.training import training_rows
+from .benchmarks.training import step_rows, training_rows
 from .benchmarks.workload import make_workload
 
 Section = Literal[
@@ -38,7 +39,7 @@ _SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
     "environment": environment_rows,
     "kernels": kernel_rows,
     "network": network_rows,
-    "training": training_rows,
+    "training": lambda bench: itertools.chain(training_rows(bench), step_rows(bench)),
     "programs": program_rows,
     "recording": recording_rows,
     "batch": batch_rows,
@@ -58,10 +59,10 @@ _ABOUT = (
 
 @dataclasses.dataclass(frozen=True)
 class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
-    """Measure planners, environment, kernels and network, side by side with plain C, Numba, NumPy and libraries.
+    """Measure planners, environment, kernels, network, training, beside plain C, Numba, NumPy, PyTorch and libraries.
 
     Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table; the first two after each row.
-    Programs that are not installed are left out with the reason; `pip install -e ".[benchmark]"` brings them.
+    Programs that are not installed are left out with the reason; `pip install -e ".[benchmark]" torch` brings them.
 
     Attributes:
       accelerator: measure an accelerator instead, the most important parts first: the same episodes as on the CPU,

@@ -20,6 +20,9 @@ from .workload import Robots, Workload, active_robots
 #: Robots in the middle of their episodes that batches are made of.
 _POOL = 2048
 
+#: PyTorch's rows, and whether its compiler is used.
+PYTORCH = {"PyTorch": False, "PyTorch, compiled": True}
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bench:

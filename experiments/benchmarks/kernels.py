@@ -1,6 +1,7 @@
 """Single kernels on robots in the middle of their episodes, beside the library functions one would reach for."""
 
 import functools
+import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -20,7 +21,7 @@ from dc2g_jax._src.runtime.programs import jit
 from tests.oracles import numpy_gridworld
 
 from ..baselines import libraries
-from .bench import SENSING_RANGE, Bench, own
+from .bench import PYTORCH, SENSING_RANGE, Bench, own
 from .machine import BANDWIDTH, FLOAT_ARITHMETIC
 from .programs import compile_program
 from .rows import Row, attempt
@@ -188,8 +189,23 @@ def network_pace_row(bench: Bench) -> Row:
     return row.with_figures(measured, float(len(terrain)))
 
 
+def _network_in_torch(bench: Bench, batch: int, compiled: bool, row: Row) -> Row:
+    torch_network = importlib.import_module("experiments.baselines.torch_network")
+    network = bench.network
+    apply = torch_network.estimator(network.architecture, jax.device_get(network.weights), compiled=compiled)
+    terrain = jnp.moveaxis(bench.robots("frontier").batch(batch).belief.terrain, -1, 0)
+    measured = bench.measure(functools.partial(apply, *torch_network.tensors(terrain)))
+    expected = compact_unet.apply(network.architecture, network.weights, terrain)
+    same = float(np.allclose(np.asarray(measured.output), expected, rtol=1e-5, atol=1e-3))
+    return row.with_figures(measured, float(batch), facts={"same answer": same})
+
+
 def network_rows(bench: Bench) -> Iterator[Row]:
-    """Maps a second at a few batch sizes."""
+    """Maps a second at a few batch sizes, and PyTorch's."""
     yield network_pace_row(bench)
     for batch in (4,) if bench.quick else (1, 16, 64, 128, 256):
-        yield network_row(bench, "network", batch)
+        row = network_row(bench, "network", batch)
+        yield row
+        for by, compiled in PYTORCH.items():
+            peer = Row("network", row.what, by, row.unit, batch=batch, cells=row.cells)
+            yield attempt(peer, functools.partial(_network_in_torch, bench, batch, compiled, peer))

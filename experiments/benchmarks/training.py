@@ -1,6 +1,8 @@
-"""Training: runs of a sweep together, and the same runs one after another."""
+"""Training: runs of a sweep together, and the same runs one after another; one run beside PyTorch."""
 
+import dataclasses
 import functools
+import importlib
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
@@ -10,15 +12,15 @@ import numpy as np
 
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
+from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate, settle
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.pairs import TrainingSet
-from dc2g_jax._src.training.step import TrainingState, placed, stacked, supervised_step
+from dc2g_jax._src.training.step import TrainingState, draw_batches, learn, placed, stacked, supervised_step
 
-from .bench import Bench, own
-from .rows import Row
+from .bench import PYTORCH, Bench, own
+from .rows import Row, attempt
 
 #: Optimizer steps of a run, for the runs an hour: those of `dc2g sweep`.
 _STEPS_A_RUN = 2000
@@ -85,3 +87,33 @@ def training_rows(
         measured = bench.measure(functools.partial(trained, step, states, numbers))
         facts = {"steps of a run/s": steps / measured.timing.median}
         yield row.with_figures(measured, 3600 * n_runs * steps / _STEPS_A_RUN, checksum=None, facts=facts)
+
+
+def step_rows(bench: Bench) -> Iterator[Row]:
+    """A run whose batches are given, here and in PyTorch: drawing them is not counted."""
+    config = TrainingConfig(batch_size=4 if bench.quick else TrainingConfig.batch_size)
+    training = CostToGoTraining(config.recipe, DataConfig(extra_houses=0).draw_batch)
+    mesh, numbers = mesh_for_batch(config.batch_size), config.hyperparameters
+    states = [placed(training.first_state(numbers), mesh)]
+    weights = jax.device_get(states[0].weights)
+    batch = draw_batches(states[0], replicate(_data(bench), mesh), numbers, training=training, mesh=mesh)
+    settle(batch)
+
+    def step() -> jax.Array:
+        states[0], loss = learn(states[0], batch, numbers, training=training)
+        settle(states[0])
+        return loss
+
+    def with_run(row: Row, step: Callable[[], Any]) -> Row:
+        return row.with_figures(bench.measure(step), 3600 / _STEPS_A_RUN, checksum=None)
+
+    def in_torch(row: Row, compiled: bool) -> Row:
+        torch_network = importlib.import_module("experiments.baselines.torch_network")
+        pairs = torch_network.tensors(batch.terrain, batch.target, batch.weight)
+        return with_run(row, functools.partial(torch_network.Trainer(config, weights, compiled=compiled), *pairs))
+
+    row = own("training", "1 run, batches given", "runs/h", batch=config.batch_size, cells=bench.workload.cells)
+    yield with_run(row, step)
+    for by, compiled in PYTORCH.items():
+        peer = dataclasses.replace(row, by=by)
+        yield attempt(peer, functools.partial(in_torch, peer, compiled))

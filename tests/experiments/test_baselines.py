@@ -6,11 +6,19 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax._src.estimation import compact_unet
+from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid.poses import ACTION_LETTERS
-from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.pairs import Pair
+from dc2g_jax._src.training.step import learn, state_of
 from experiments.baselines import c_gridworld, libraries
 from experiments.baselines.problem import BaselineName, BaselineUnavailable, Outcome, Problem, make_problem
 from tests.oracles import numpy_gridworld as oracle
@@ -154,3 +162,32 @@ def test_opencv_measures_straight_lines():
     rows, columns = np.indices(goals.shape)
     expected = np.hypot(rows - 4, columns - 3)
     np.testing.assert_allclose(libraries.distance_opencv(goals), expected, rtol=0.03)
+
+
+def test_pytorch_estimates_and_learns_the_same():
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    from experiments.baselines.torch_network import Network, Trainer, tensors
+
+    generator = np.random.default_rng(0)
+    config = TrainingConfig(Architecture(widths=(8, 12, 16), embedding=20), steps=20, batch_size=4)
+    training, numbers = CostToGoTraining(config.recipe, DataConfig().draw_batch), config.hyperparameters
+    # Some weights are zero at first.
+    weights = jax.tree.map(
+        lambda leaf: leaf + generator.normal(0, 0.05, leaf.shape).astype(np.float32),
+        training.first_state(numbers).weights,
+    )
+    state, trainer = state_of(weights, training.optimizer(numbers), 0.998), Trainer(config, weights)
+    weight = generator.integers(0, 3, (4, 50, 35)).astype(np.float32)
+    target = np.where(weight > 0, generator.uniform(0, 100, weight.shape), np.inf).astype(np.float32)
+    terrain = generator.integers(0, len(CLASS_NAMES), weight.shape).astype(np.uint8)
+    pairs = Pair(*map(jnp.asarray, (terrain, target, weight)))
+    of_torch = tensors(terrain, target, weight)
+
+    estimate = trainer.network(of_torch[0]).detach().numpy()
+    np.testing.assert_allclose(estimate, compact_unet.apply(config.architecture, weights, pairs.terrain), atol=1e-4)
+    for _ in range(10):
+        state, loss = learn(state, pairs, numbers, training=training)
+        np.testing.assert_allclose(trainer(*of_torch), loss, rtol=1e-4)
+    expected = Network(config.architecture, state.average).parameters()
+    for mine, other in zip(expected, trainer.average, strict=True):
+        np.testing.assert_allclose(mine.detach(), other, atol=1e-3)
