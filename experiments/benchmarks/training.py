@@ -12,7 +12,7 @@ import numpy as np
 
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate, settle
+from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate, reuse_memory, settle
 from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
@@ -79,6 +79,7 @@ def training_rows(
         "together": lambda: ([stacked(firsts())], [stacked([each.hyperparameters for each in configs])]),
         "one after another": lambda: (firsts(), [each.hyperparameters for each in configs]),
     }
+    reuse_memory()  # as a training does
     for way in ways:
         row = own("training", f"{n_runs} runs {way}", "runs/h", batch=batch, cells=bench.workload.cells)
         states, numbers = begun[way]()
@@ -98,6 +99,8 @@ def step_rows(bench: Bench) -> Iterator[Row]:
     weights = jax.device_get(states[0].weights)
     batch = draw_batches(states[0], replicate(_data(bench), mesh), numbers, training=training, mesh=mesh)
     settle(batch)
+
+    reuse_memory()
 
     def step() -> jax.Array:
         states[0], loss = learn(states[0], batch, numbers, training=training)

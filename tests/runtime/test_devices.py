@@ -1,5 +1,7 @@
 """Work divided among devices and processes gives what one device gives."""
 
+import platform
+import resource
 import socket
 import subprocess
 import sys
@@ -23,6 +25,7 @@ from dc2g_jax._src.runtime.devices import (
     not_repeated,
     on_each,
     require_memory,
+    reuse_memory,
     settle,
     use_cores,
     use_devices,
@@ -31,6 +34,19 @@ from dc2g_jax.families.procedural import draw_house
 from tests.support.houses import save_dataset
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_large_arrays_reuse_the_memory_of_freed_ones():
+    reuse_memory()
+
+    def faults():
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        np.ones(2**23)  # 64 MiB
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+    faults()
+    assert faults() < 100
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8])

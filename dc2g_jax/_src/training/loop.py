@@ -23,7 +23,16 @@ from tqdm import tqdm
 
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
-from dc2g_jax._src.runtime.devices import fetch, first_copy, in_any_process, mesh_for_batch, platform, replicate, settle
+from dc2g_jax._src.runtime.devices import (
+    fetch,
+    first_copy,
+    in_any_process,
+    mesh_for_batch,
+    platform,
+    replicate,
+    reuse_memory,
+    settle,
+)
 from dc2g_jax._src.runtime.errors import InputError, check_number
 from dc2g_jax._src.training.step import Supervised, TrainingState, first_state, placed, stacked, supervised_step
 from dc2g_jax._src.training.tracking import Curve, Image, TrackerName, run_folder
@@ -305,6 +314,7 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
       InputError: a folder holds a run of another configuration, the newest checkpoint is damaged, or the loss of a
         single run is not finite. Checkpoints are kept.
     """
+    reuse_memory()
     alone, log, mesh = "" in task.runs, Log(out), mesh_for_batch(task.training.batch_size, len(task.runs))
     names = [run or None for run in task.runs]
     numbers = _together([_hyperparameters(config) for config in task.runs.values()], mesh)
