@@ -237,7 +237,7 @@ def test_weights_of_other_terms_are_refused():
 def test_weights_are_those_of_the_nearest_field_of_view():
     narrow, wide = named(random_weights(6)), named(random_weights(7))
     score = {"90": dict(reversed(narrow.items())), "360": wide}
-    for degrees, seed in ((None, 6), (1, 6), (90, 6), (179, 6), (180, 7), (360, 7)):
+    for degrees, seed in ((None, 6), (1, 6), (90, 6), (180, 6), (181, 7), (360, 7)):
         np.testing.assert_array_equal(weights_of(score, degrees), random_weights(seed))
     np.testing.assert_array_equal(weights_of({"90": narrow}, 360), random_weights(6))
 

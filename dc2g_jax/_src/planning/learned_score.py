@@ -168,7 +168,7 @@ def has_classes(belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
 
 
 def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = None) -> Float[Array, "term"]:
-    """The weights of `TERMS` that were learned with the field of view nearest in width, of two the wider one.
+    """The weights of `TERMS` that were learned with the field of view nearest in width, of two the narrower one.
 
     Args:
       score: see `estimation.estimators.Estimator`.
@@ -178,7 +178,7 @@ def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = N
       InputError: a term is missing, or unknown.
     """
     wanted = PAPER_DEGREES if degrees is None else degrees
-    terms = score[min(score, key=lambda learned: (abs(math.log(float(learned) / wanted)), -float(learned)))]
+    terms = score[min(score, key=lambda learned: (abs(math.log(float(learned) / wanted)), float(learned)))]
     if {*terms} != {*TERMS}:
         raise InputError(
             f"the network's score has the terms {', '.join(terms)}; expected {', '.join(TERMS)}; train the score anew "
