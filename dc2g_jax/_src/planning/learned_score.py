@@ -168,7 +168,7 @@ def has_classes(belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
 
 
 def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = None) -> Float[Array, "term"]:
-    """The weights of `TERMS` that were learned with the field of view nearest in width, of two the narrower one.
+    """The weights of `TERMS` for the field of view nearest in width, by ratio; the narrower of two equally near ones.
 
     Args:
       score: see `estimation.estimators.Estimator`.

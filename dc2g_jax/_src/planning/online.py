@@ -41,7 +41,7 @@ from dc2g_jax._src.planning.rules import Rules, named_settings
 from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 from dc2g_jax._src.runtime.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
-#: Planners that only need the robot's map, and no memory.
+#: Planners by name that need only the robot's map.
 ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
 
 #: Side length of the smallest compiled grid, in cells. Each further one is twice as large, and the largest more than
@@ -52,7 +52,7 @@ _SMALLEST_GRID = 256
 #: cells; with this margin, even the smallest map looks like one of them.
 _OPEN_MARGIN = 24
 
-#: Number of cells that it is wider at first, so that the frame does not change whenever the map grows.
+#: Number of cells by which this margin is wider at first, so that the frame does not change whenever the map grows.
 _OPEN_ROOM = 8
 
 
@@ -160,11 +160,11 @@ class OnlinePlanner:
     decision = planner.plan(grid, (x, y, heading))
     ```
 
-    The calls are those of one search. On a map of known size whose cells keep their class, a robot that takes the
-    actions one by one decides as in a rollout. Cells may still change in any way: the planner then chooses again (see
-    `Planner.revised`; planners without it start anew). A search starts anew if most of the observed cells are no longer
-    what they were, or if the map's size or origin changes; in an open-ended world, only if the map grows beyond the
-    planner's margin of unobserved cells.
+    It remembers the search between calls. On a map of known size whose cells keep their class, a robot that takes the
+    actions one by one decides as in a rollout. Observed cells may change in any way: the planner then chooses again
+    (see `Planner.revised`; a planner without this method starts a new search). A new search also starts if most of the
+    observed cells have changed, or if the map's size or origin changes. In an open-ended world, size and origin may
+    change until the map comes close to the edge of the planner's own, wider grid.
 
     Exploration ends if the robot observes everything in its field of view at every pose that it reaches. Mark cells
     that its sensor cannot classify as `nothing`.
@@ -172,8 +172,8 @@ class OnlinePlanner:
     Creating the planner compiles a program for its largest grid and, beyond 512 cells a side, also for smaller ones.
     Each takes three to ten seconds of CPU time, and more for longer sensing ranges. The programs are kept on disk (see
     `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the start, and
-    decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your own get grids
-    of exactly the map's size; each new size is compiled.
+    decisions do not depend on the grid size. Planners whose `knows_outside` is false, such as those with
+    other estimators than `NetworkCostToGo`, get grids of exactly the map's size; each new size is compiled.
 
     Args:
       planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
@@ -297,7 +297,7 @@ class OnlinePlanner:
         return terrain
 
     def _goes_on(self, memory: _Memory, frame: _Frame, terrain: UInt8[np.ndarray, "h w"]) -> bool:
-        """Whether the search goes on: with the map as it was, or one that the planner can revise its state for."""
+        """Whether the search goes on: no observed cell changed, or at most half did and the planner can be revised."""
         if frame != memory.frame:
             return False
         changed = np.count_nonzero(_changed(memory.terrain, terrain))

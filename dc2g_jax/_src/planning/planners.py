@@ -322,7 +322,7 @@ class Frontier(Planner):
         return Assessment(plan, reachable, candidates), reachable
 
     def revised(self, state: Board, changed: Board) -> Board:
-        """The ground, or nothing if some of it can be lost."""
+        """The reachable cells; none if cells changed, since some of them may be lost."""
         return jnp.where(bitboard.is_empty(changed), state, jnp.uint32(0))
 
 
@@ -361,7 +361,7 @@ def choice_is_due(
 def without_choice(state: Any, changed: Board) -> Any:
     """A state whose `reachable` cells, `chosen_from` and `subgoals` are as if these cells had not been observed.
 
-    If there are any, ground may be lost, and another choice is due.
+    If there are any, reachable cells may be lost, and another choice is due.
     """
     same = bitboard.is_empty(changed)
     return state._replace(
