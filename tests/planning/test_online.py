@@ -17,6 +17,7 @@ from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning import online
+from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.decisions import Candidate, Decision, RobotPose, explain
 from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
 from dc2g_jax._src.planning.metric import MetricPlanner
@@ -67,7 +68,7 @@ def planner_of(name: str, largest: tuple[int, int] = LARGEST, open_ended: bool =
 
 def at_first(planner: OnlinePlanner, grid, pose) -> Decision:
     """The decision of a new search."""
-    planner._memory = None
+    planner.start_anew()
     return planner.plan(grid, pose)
 
 
@@ -395,14 +396,14 @@ def directions_of_growth(terrain, pose, letters: str) -> set[str]:
 @pytest.mark.parametrize("name", ["frontier", "dc2g"])
 def test_no_size_of_map_compiles_anything(name):
     planner = planner_of(name, LARGER)
-    compiled = online._look.compiled_count()
+    compiled = online._look.compiled_count(), online._first_state.compiled_count()
     for height, width in ((1, 1), (3, 32), (33, 2), (32, 32), (32, 33), (33, 64), (33, 65)):
         decision = planner.plan(np.full((height, width), 3, np.uint8), (0, 0, 0))
         assert decision.mode == "gave_up"
         corner = np.full((height, width), 3, np.uint8)
         corner[-1, -1] = 0 if height * width > 1 else 3
         planner.plan(corner, (0, 0, 0))
-    assert online._look.compiled_count() == compiled
+    assert (online._look.compiled_count(), online._first_state.compiled_count()) == compiled
 
 
 def test_maps_of_up_to_100_by_100_cells_are_expected():
@@ -455,8 +456,32 @@ def test_a_search_goes_on_or_starts_anew():
     assert decisions(other, left=1) == [3, 3]
 
 
+@pytest.mark.parametrize("name", ["frontier", "dc2g"])
+def test_a_robot_that_is_carried_to_other_ground_starts_anew(name):
+    planner, rooms = planner_of(name), np.full((9, 13), FREE, np.uint8)
+    rooms[:, 6], rooms[1, 1], rooms[6:, 9:] = OCCUPIED, FRONT_DOOR, 0
+    planner.start_anew()
+    assert planner.plan(rooms, (3, 3, 0)).mode == "to_goal"
+    carried = planner.plan(rooms, (9, 3, 0))
+    assert carried.mode == "explore"
+    assert_alike(carried, at_first(planner, rooms, (9, 3, 0)))
+
+
+def test_planners_that_wrap_others_go_on_or_start_anew():
+    """The bound counts the decisions of a search; it ends where cells change, or starts anew with the search."""
+    rules, road = complete_rules(SENSING), np.full(SHAPE, 3, np.uint8)
+    road[:, 20:] = 0
+    changed = np.where(np.arange(SHAPE[1]) == 10, 7, road).astype(np.uint8)
+    for wrapped, taken in ((PlanAlone(rules), [1, 2, 1]), (planner_with("dc2g", rules, network()), [1, 2, 3])):
+        planner, counts = OnlinePlanner(Bounded(wrapped, rules, 2.0, 3.0), sensing_range=SENSING, largest=SHAPE), []
+        for grid in (road, road, changed):
+            planner.plan(grid, (3, 3, 0))
+            counts.append(int(planner._memory.state.bound.taken))
+        assert counts == taken
+
+
 def test_in_an_open_ended_world_the_frame_stays_while_there_is_a_margin():
-    planner = OnlinePlanner("frontier", sensing_range=SENSING, largest=(40, 40), open_ended=True)
+    planner = OnlinePlanner("frontier", sensing_range=8, largest=(40, 40), open_ended=True)
     frames = []
     for first, side in ((0, 12), (-8, 20), (-9, 21), (-9, 39), (5, 12)):
         planner.plan(np.full((side, side), 3, np.uint8), (6, 6, 0), origin=(first, first))

@@ -218,7 +218,10 @@ def network_in_folder(folder: str | os.PathLike[str] | None = None) -> Any:
         return network
     score, remedy = card["score"], "train the score anew"
     if not isinstance(score, dict) or not score or not all(isinstance(terms, dict) for terms in score.values()):
-        raise InputError(f"{place / CARD}: its score is {short(score)}, not weights by degrees and term; {remedy}")
+        raise InputError(
+            f"{place / CARD}: its score is {short(score)}, not weights by degrees and term; {remedy}, or nest it under "
+            'the degrees: "score": {"90": {...}}'
+        )
     for degrees, terms in score.items():
         where = f"{place / CARD}: field of view of the score"
         check_degrees(where, finite_number(where, degrees, remedy))

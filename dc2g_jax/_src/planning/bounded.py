@@ -113,7 +113,6 @@ class Bounded(Planner):
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
     batch_per_core: ClassVar[int] = DC2G.batch_per_core
-    knows_outside: ClassVar[bool] = False  # type: ignore[assignment]  # the bound is by rows and columns
 
     @property
     def estimator(self) -> Any:

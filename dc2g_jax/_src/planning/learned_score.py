@@ -36,7 +36,7 @@ from dc2g_jax._src.planning.planners import (
 )
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.planning.selection import mean_of, mean_outcome
-from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.errors import InputError, short
 from dc2g_jax._src.runtime.programs import apart
 
 #: Cells a side of the squares that the map is divided into; each has at most one candidate.
@@ -175,8 +175,10 @@ def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = N
       degrees: width of the field of view; `None` for the paper's.
 
     Raises:
-      InputError: a term is missing, or unknown.
+      InputError: the weights are not by degrees, or a term is missing or unknown.
     """
+    if not all(isinstance(terms, Mapping) for terms in score.values()):
+        raise InputError(f"the network's score is {short(score)}; nest it under the degrees: {{'90': {{...}}}}")
     wanted = PAPER_DEGREES if degrees is None else degrees
     terms = score[min(score, key=lambda learned: (abs(math.log(float(learned) / wanted)), float(learned)))]
     if {*terms} != {*TERMS}:
@@ -231,9 +233,9 @@ class LearnedScore(Planner):
     terms: ClassVar[tuple[str, ...]] = TERMS
 
     @property
-    def knows_outside(self) -> bool:
-        """See `Planner`."""
-        return self.estimator is None or super().knows_outside
+    def knows_outside(self) -> bool:  # type: ignore[override]
+        """See `Planner`: if its estimator, if any, does."""
+        return self.estimator is None or trait(self.estimator, "knows_outside")
 
     def init(self, world: World) -> ScoredChoice:
         """Nothing is reachable before the first observation. The estimator initializes its own state."""

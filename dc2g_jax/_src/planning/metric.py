@@ -159,6 +159,7 @@ class MetricPlanner:
         reach = self._reach(cell_size)
         self._online: dict[int, OnlinePlanner] = {reach: self._make(sensing_range=reach, largest=largest)}
         self._fixed_reach = reach if hasattr(planner, "rules") else None
+        self._factors: dict[int, int] = {}  # of the last map of each sensing range
         self._aside: dict[int, set[tuple[int, int, int]]] = collections.defaultdict(set)
         self._drawn: DrawnMap | None = None
         self._target: MetricPose | None = None
@@ -226,6 +227,8 @@ class MetricPlanner:
         ):
             self._aside.clear()
             self._drawn = self._target = self._looked_at = None
+            for online in self._online.values():
+                online.start_anew()
             return
         if self._looked_at is not None:
             pixels, unknown = self._looked_at
@@ -267,7 +270,11 @@ class MetricPlanner:
         """The decision in cells of `factor` pixels along a side."""
         self._drawn = drawn = self._draw(grid, factor, here, doors)
         cells, own = drawn.cells, drawn.cells.pose_in(here)
-        online = self._online_for(self._reach(cells.size), drawn.terrain.shape)
+        reach = self._reach(cells.size)
+        online = self._online_for(reach, drawn.terrain.shape)
+        if self._factors.setdefault(reach, factor) != factor:
+            online.start_anew()
+        self._factors[reach] = factor
         decision = online.plan(drawn.terrain, own, origin=(drawn.left, drawn.top))
 
         def placed(poses: Sequence[tuple[Any, ...]]) -> list[MetricPose]:

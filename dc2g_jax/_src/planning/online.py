@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimator, trait
+from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.padding import padded
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import bitboard, poses
@@ -27,8 +27,10 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE, ROAD, TRAVERSABLE, 
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax._src.planning.inputs import map_of, numbers_of
+from dc2g_jax._src.planning.learned_score import LearnedScore
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import (
+    DC2G,
     Assessment,
     Planner,
     PlannerLike,
@@ -51,9 +53,6 @@ _SMALLEST_GRID = 256
 #: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
 #: cells; with this margin, even the smallest map looks like one of them.
 _OPEN_MARGIN = 24
-
-#: Number of cells by which this margin is wider at first, so that the frame does not change whenever the map grows.
-_OPEN_ROOM = 8
 
 
 def view_of(belief: Belief, assessment: Assessment) -> View:
@@ -81,10 +80,11 @@ class _Frame(NamedTuple):
 
 
 class _Memory(NamedTuple):
-    """What is kept between calls: the frame, the map in it, and the planner's state."""
+    """What is kept between calls: the frame, the map in it, the robot's pose there, and the planner's state."""
 
     frame: _Frame
     terrain: UInt8[np.ndarray, "h w"]
+    pose: Int[np.ndarray, "3"]
     state: Any
 
 
@@ -95,7 +95,7 @@ def _observed(terrain: UInt8[Array, "h w"]) -> UInt8[Array, "h w"]:
 
 @jit
 def _first_state(planner: PlannerLike, terrain: UInt8[Array, "h w"]) -> Any:
-    """The planner's state at the start of a search, before it has seen the map."""
+    """The planner's state at the start of a search, given the map so far."""
     return planner.init(World.from_terrain(_observed(terrain)))
 
 
@@ -128,7 +128,9 @@ def _look(
         outside = bitboard.pack(terrain == OUTSIDE)
         belief = dataclasses.replace(belief_from_map(_observed(terrain), Pose(*pose)), outside=outside)
         if can_be_revised(planner):
-            state = planner.revised(state, bitboard.pack(_changed(before, terrain)))
+            changed = bitboard.pack(_changed(before, terrain))
+            same, revised = bitboard.is_empty(changed), planner.revised(state, changed)
+            state = jax.tree.map(lambda kept, new: jnp.where(same, kept, new), state, revised)
         return belief, state, planner.look(belief, state) if asks(planner) else None
 
     def conclude(planner: PlannerLike, belief: Belief, state: Any, looked: Any, answer: Any) -> tuple[View, Any]:
@@ -161,13 +163,16 @@ class OnlinePlanner:
     ```
 
     It remembers the search between calls. On a map of known size whose cells keep their class, a robot that takes the
-    actions one by one decides as in a rollout. Observed cells may change in any way: the planner then chooses again
-    (see `Planner.revised`; a planner without this method starts a new search). A new search also starts if most of the
-    observed cells have changed, or if the map's size or origin changes. In an open-ended world, size and origin may
-    change until the map comes close to the edge of the planner's own, wider grid.
+    actions one by one decides as in a rollout; but in towns larger than the network's maps, the network gets the whole
+    map instead of a window. Observed cells may change in any way: the planner then chooses again (see
+    `Planner.revised`; a planner without this method starts a new search).
 
-    Exploration ends if the robot observes everything in its field of view at every pose that it reaches. Mark cells
-    that its sensor cannot classify as `nothing`.
+    A new search also starts if most of the observed cells have changed, if the robot is where it cannot have come from,
+    or if the map's size or origin changes. In an open-ended world, size and origin may change until the map comes close
+    to the edge of the planner's own, wider grid.
+
+    A planner serves one robot, one call at a time. Exploration ends if the robot observes everything in its field of
+    view at every pose that it reaches. Mark cells that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for its largest grid and, beyond 512 cells a side, also for smaller ones.
     Each takes three to ten seconds of CPU time, and more for longer sensing ranges. The programs are kept on disk (see
@@ -224,10 +229,12 @@ class OnlinePlanner:
         if field_of_view is not None and own.offsets != asked.sensing.offsets:
             theirs = "something else" if own.degrees is None else f"{own.degrees:g} degrees"
             raise InputError(f"field_of_view {field_of_view:g}: the planner's rules say {theirs}; leave it out")
-        self._planner = jax.tree.map(padded, planner, is_leaf=lambda node: trait(node, "is_compact"))
+        if isinstance(planner, DC2G | LearnedScore) and planner.estimator is not None:
+            planner = dataclasses.replace(planner, estimator=padded(planner.estimator))
+        self._planner = planner
         self._memory: _Memory | None = None
         self.largest = rows, columns
-        self._margin = max(_OPEN_MARGIN, sensing_range) if open_ended else 0
+        self._margin, self._room = (max(_OPEN_MARGIN, sensing_range), sensing_range) if open_ended else (0, 0)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
         self._pads_maps = getattr(self._planner, "knows_outside", False)
@@ -262,16 +269,25 @@ class OnlinePlanner:
         robot = _checked_pose(pose, checked, left, top)
         frame, memory = self._frame(left, top, *checked.shape), self._memory
         terrain = self._framed(checked, left, top, frame)
-        if memory is None:
-            memory = _Memory(frame, terrain, _first_state(self._planner, terrain))
-        elif not self._goes_on(memory, frame, terrain):
-            self._memory = None
-            return self.plan(grid, pose, origin=origin)
         here = np.array([robot.x - frame.left, robot.y - frame.top, robot.heading], np.int32)
+        if memory is None:
+            memory = _Memory(frame, terrain, here, _first_state(self._planner, terrain))
+        elif not self._goes_on(memory, frame, terrain):
+            self.start_anew()
+            return self.plan(grid, pose, origin=origin)
         view, state = self._look(self._planner, memory.state, memory.terrain, terrain, here)
-        decision = decide(jax.tree.map(np.asarray, view), frame.left, frame.top)
-        self._memory = _Memory(frame, terrain, state)
+        view = jax.tree.map(np.asarray, view)
+        x, y, heading = memory.pose
+        if self._memory is not None and view.distance[heading, y, x] < 0:  # the robot cannot have come from there
+            self.start_anew()
+            return self.plan(grid, pose, origin=origin)
+        decision = decide(view, frame.left, frame.top)
+        self._memory = _Memory(frame, terrain, here, state)
         return decision
+
+    def start_anew(self) -> None:
+        """Begin a new search at the next call."""
+        self._memory = None
 
     def _frame(self, left: int, top: int, rows: int, columns: int) -> _Frame:
         """The frame of a map: in an open-ended world, the last one while there is a margin around the map."""
@@ -283,9 +299,12 @@ class OnlinePlanner:
             after = min(last.left + last.columns - left - columns, last.top + last.rows - top - rows)
             if min(before, after) >= self._margin:
                 return last
-        room = min(most - side for most, side in zip(self.largest, (rows, columns), strict=True)) // 2
-        margin = self._margin + min(_OPEN_ROOM, room)
-        return _Frame(left - margin, top - margin, rows + 2 * margin, columns + 2 * margin)
+        # Wider at first, as far as the largest grid allows, so that the frame does not change whenever the map grows.
+        above, beside = (
+            self._margin + min(self._room, (most - side) // 2)
+            for most, side in zip(self.largest, (rows, columns), strict=True)
+        )
+        return _Frame(left - beside, top - above, rows + 2 * above, columns + 2 * beside)
 
     def _framed(self, grid: UInt8[np.ndarray, "h w"], left: int, top: int, frame: _Frame) -> UInt8[np.ndarray, "h2 w2"]:
         """The map in its frame, in the upper left corner of the smallest compiled grid that fits it."""

@@ -95,14 +95,11 @@ class Planner:
     Attributes:
       batch_per_core: number of robots to simulate side by side on one CPU core. One is fastest, except
         for computing answers.
+      knows_outside: whether it takes maps in a larger grid of `OUTSIDE` cells, as `OnlinePlanner` pads them.
     """
 
     batch_per_core: ClassVar[int] = 1
-
-    @property
-    def knows_outside(self) -> bool:
-        """Whether it takes maps in a larger grid, as `OnlinePlanner` pads them: if its estimator, if any, does."""
-        return trait(getattr(self, "estimator", None), "knows_outside")
+    knows_outside: ClassVar[bool] = False
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -140,7 +137,10 @@ class Planner:
         raise NotImplementedError("a planner with a method look needs a method conclude")
 
     def revised(self, state: Any, changed: Board) -> Any:
-        """The state without what is invalid after these cells changed their class, as on maps from a camera."""
+        """The state without what is invalid after these cells changed their class, as on maps from a camera.
+
+        Cells may also be given that are observed for the first time: the planner then chooses again.
+        """
         raise InputError(f"planner {type(self).__name__}: maps change here, and it has no method revised; define one")
 
 
@@ -154,8 +154,10 @@ def _inherits(planner: PlannerLike, *methods: str) -> bool:
 
 
 def can_be_revised(planner: PlannerLike) -> bool:
-    """Whether a planner has a method `revised` of its own."""
-    return hasattr(planner, "revised") and not _inherits(planner, "revised")
+    """Whether a planner, and the one that it wraps if any, has a method `revised` of its own."""
+    wrapped = getattr(planner, "planner", None)
+    own = hasattr(planner, "revised") and not _inherits(planner, "revised")
+    return own and (wrapped is None or can_be_revised(wrapped))
 
 
 def asks(planner: PlannerLike) -> bool:
@@ -294,7 +296,7 @@ class Frontier(Planner):
     """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
-    knows_outside: ClassVar[bool] = True  # type: ignore[assignment]
+    knows_outside: ClassVar[bool] = True
 
     def init(self, world: World) -> Board:
         """Nothing is reachable before the first observation."""
@@ -426,6 +428,11 @@ class DC2G(Planner):
     rules: Rules = struct.field(pytree_node=False)
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     batch_per_core: ClassVar[int] = 16
+
+    @property
+    def knows_outside(self) -> bool:  # type: ignore[override]
+        """See `Planner`: if its estimator does."""
+        return trait(self.estimator, "knows_outside")
 
     def init(self, world: World) -> "Choice":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
