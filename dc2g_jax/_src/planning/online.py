@@ -130,7 +130,7 @@ def _look(
         if can_be_revised(planner):
             changed = bitboard.pack(_changed(before, terrain))
             same, revised = bitboard.is_empty(changed), planner.revised(state, changed)
-            state = jax.tree.map(lambda kept, new: jnp.where(same, kept, new), state, revised)
+            state = jax.tree.map(lambda kept, new: kept if new is kept else jnp.where(same, kept, new), state, revised)
         return belief, state, planner.look(belief, state) if asks(planner) else None
 
     def conclude(planner: PlannerLike, belief: Belief, state: Any, looked: Any, answer: Any) -> tuple[View, Any]:
