@@ -42,7 +42,7 @@ def colored(name: str) -> list[int]:
 
 @pytest.fixture
 def demo() -> Demo:
-    network = dataclasses.replace(random_network(Architecture(widths=(4, 4, 4, 4))), score=SCORE)
+    network = dataclasses.replace(random_network(Architecture(widths=(4, 4, 4, 4))), score={"90": SCORE})
     return Demo({"toy": HOUSE.terrain}, ["frontier"], network)
 
 
