@@ -104,20 +104,20 @@ def test_the_best_candidate_is_tried_first():
         assert (score[:, 0] <= score.min(axis=1) + 1e-3).all()
 
 
-SMALL = ScoreConfig(rounds=1, maps=8, houses=4, starts=2, sides=(40,), field_of_view=180)
+SMALL = ScoreConfig(rounds=1, maps=8, houses=4, starts=2, sides=(40,), field_of_view=120)
 
 
 @pytest.mark.slow
 def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
     out = tmp_path / "out"
     trained = train(out, "procedural", config=SMALL, split=None)
-    assert trained.network.score.keys() == open_estimator(None).score.keys() | {"180"}
-    learned = trained.network.score["180"]
+    assert trained.network.score.keys() == open_estimator(None).score.keys() | {"120"}
+    learned = trained.network.score["120"]
     assert {*learned} == {*TERMS}
     assert "on fresh maps" in capsys.readouterr().out
     round_1 = json.loads((out / "round-1.json").read_text())
     assert round_1["weights"] == {term: pytest.approx(float(learned[term])) for term in TERMS}
-    rules = complete_rules(8, degrees=180)
+    rules = complete_rules(8, degrees=120)
     planner = planner_with("dc2g", rules, network_in_folder(save_network(tmp_path / "copy", trained.network)))
     assert np.allclose(planner.weights, list(round_1["weights"].values()))
     before = (out / "round-1-1.npz").stat().st_mtime_ns
@@ -130,6 +130,7 @@ def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
 def test_what_makes_no_sense_is_refused(tmp_path):
     invalid = [(ScoreConfig(rounds=0), "--rounds 0"), (ScoreConfig(sides=(8,)), "--sides 8")]
     invalid += [(ScoreConfig(sides=()), "sides is empty"), (ScoreConfig(seed=2**31), "--seed 2147483648")]
+    invalid += [(ScoreConfig(field_of_view=400), "--field-of-view 400")]
     for config, said in invalid:
         refusal(lambda: train(tmp_path / "out", "procedural", config=config), said, "give")  # noqa: B023
     refusal(lambda: train(tmp_path / "out", tmp_path / "none", config=SMALL), "none", "give")
