@@ -272,7 +272,7 @@ class MetricPlanner:
         cells, own = drawn.cells, drawn.cells.pose_in(here)
         reach = self._reach(cells.size)
         online = self._online_for(reach, drawn.terrain.shape)
-        if self._factors.setdefault(reach, factor) != factor:
+        if self._factors.get(reach) != factor:
             online.start_anew()
         self._factors[reach] = factor
         decision = online.plan(drawn.terrain, own, origin=(drawn.left, drawn.top))

@@ -320,8 +320,10 @@ class OnlinePlanner:
         if frame != memory.frame:
             return False
         changed = np.count_nonzero(_changed(memory.terrain, terrain))
+        if not changed:
+            return True
         observed = np.count_nonzero((memory.terrain != UNKNOWN) & (memory.terrain != OUTSIDE))
-        return bool(changed == 0 or (can_be_revised(self._planner) and 2 * changed <= observed))
+        return can_be_revised(self._planner) and bool(2 * changed <= observed)
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:

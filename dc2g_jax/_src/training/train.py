@@ -362,6 +362,7 @@ def _score_learned(
     last, made = learn_score(out, network, config)[-1], out / "network"
     if not (made / CARD).exists():
         view, how = f"{config.field_of_view:g}", {**dataclasses.asdict(config), **card}
-        new = {"score": {view: last.weights}, "score_training": {view: how}}
-        save_network(made, network, {**before, **{fact: {**before.get(fact, {}), **new[fact]} for fact in new}})
+        for fact, new in (("score", last.weights), ("score_training", how)):
+            before[fact] = {**before.get(fact, {}), view: new}
+        save_network(made, network, before)
     return network_in_folder(made)
