@@ -211,7 +211,7 @@ def test_the_sensing_range_is_in_meters_whatever_the_cells(pixel, cell_size, sen
     width = round(planned / pixel)
     cells = np.pad(np.full((width, 15 * width), FREE), 3 * width, constant_values=OCCUPIED)
     cells[3 * width : 4 * width, 15 * width :] = UNKNOWN
-    planner = MetricPlanner(cell_size=cell_size, sensing_range=sensing_range, largest=(16, 16))
+    planner = MetricPlanner("frontier", cell_size=cell_size, sensing_range=sensing_range, largest=(16, 16))
     decision = planner.plan(MetricMap(cells, pixel, MapFrame(0.0, 0.0, 0.0)), (3.5 * planned, 3.5 * planned, 0.0))
     assert (decision.mode, decision.cell_size) == ("explore", pytest.approx(planned))
     assert 15.5 * planned - decision.subgoal.x == pytest.approx(away)
@@ -293,12 +293,10 @@ def test_a_network_predicts_nothing_from_an_occupancy_map():
 
 def test_the_planner_goes_by_a_network_where_there_are_classes():
     cells, robot = random_moment(4, free=0.95)
-    network = random_network(Architecture(widths=(4, 4, 4, 4)))
-    for labels in (None, {FREE: "road", OCCUPIED: "house"}):
-        decision = planner_of(labels=labels, network=network).plan(grid_of(cells), place(*robot))
-        assert decision.mode == "explore"
-        assert all((each.cost_to_go is None) == (labels is None) for each in decision.candidates)
-        assert ("predicted cost-to-go" in decision.why) == (labels is not None)
+    network, labels = random_network(Architecture(widths=(4, 4, 4, 4))), {FREE: "road", OCCUPIED: "house"}
+    decision = planner_of(planner="dc2g", labels=labels, network=network).plan(grid_of(cells), place(*robot))
+    assert decision.mode == "explore"
+    assert 0.0 not in {each.cost_to_go for each in decision.candidates}
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------

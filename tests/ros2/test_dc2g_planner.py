@@ -76,9 +76,8 @@ def test_a_bag_leads_to_the_subgoals_of_the_planner_in_cells(tmp_path):
                 robot = messages.pose_of(message.transforms[0].transform)
                 continue
             terrain, pose = next(moments)
-            decision = InProcess("", cell_size=0.25, sensing_range=REACH * 0.25, largest=(18, 18)).plan(
-                messages.map_of(message), robot, []
-            )
+            online = InProcess("", planner="frontier", cell_size=0.25, sensing_range=REACH * 0.25, largest=(18, 18))
+            decision = online.plan(messages.map_of(message), robot, [])
             grid = np.where(np.isin(terrain, (0, *oracle.TRAVERSABLE_CLASSES)), np.where(terrain, ROAD, 0), HOUSE)
             wanted = in_cells.plan(grid.astype(np.uint8), pose)
             explored += wanted.mode == "explore"
@@ -127,8 +126,8 @@ def start(monkeypatch):
     monkeypatch.setattr(node, "PlannerProcess", InProcess)
 
     def started(**parameters):
-        sizes = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": [18, 18]}
-        monkeypatch.setattr(ros.LifecycleNode, "parameters", {**sizes, **parameters})
+        shared = {"planner": "frontier", "cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": [18, 18]}
+        monkeypatch.setattr(ros.LifecycleNode, "parameters", {**shared, **parameters})
         made = node.PlannerNode()
         made.trigger_configure()
         made.trigger_activate()

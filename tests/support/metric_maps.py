@@ -17,7 +17,7 @@ PIXEL, REACH = float(np.float32(0.05)), 3
 FRAME = MapFrame(-3.2, 7.0, 0.7)
 
 
-def planner_of(pixels: int = 1, planner=None, **options) -> MetricPlanner:
+def planner_of(pixels: int = 1, planner="frontier", **options) -> MetricPlanner:
     """One whose cells have so many pixels along a side."""
     size = pixels * 0.05
     return MetricPlanner(planner, cell_size=size, sensing_range=REACH * size, largest=(16, 16), **options)

@@ -106,9 +106,8 @@ class MetricPlanner:
     map has no ground under the robot, it turns where it stands.
 
     Args:
-      planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from
-        which the network predicts nothing. The rules of one of your own keep their sensing range in cells,
-        whatever the side of a cell.
+      planner: see `OnlinePlanner`. The rules of one of your own keep their sensing range in cells, whatever the side
+        of a cell.
       cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
         narrowest passage, so that a cell fits into it.
       sensing_range: range of the robot's field of view, in meters; walls hide what is behind them. The whole cells in
@@ -129,7 +128,7 @@ class MetricPlanner:
 
     def __init__(
         self,
-        planner: str | Planner | None = None,
+        planner: str | Planner = "dc2g",
         *,
         cell_size: float,
         sensing_range: float,
@@ -147,7 +146,7 @@ class MetricPlanner:
         self._cell_size = cell_size
         self._make = functools.partial(
             OnlinePlanner,
-            ("frontier" if labels is None else "dc2g") if planner is None else planner,
+            planner,
             network=network,
             open_ended=True,
             settings="occluded",

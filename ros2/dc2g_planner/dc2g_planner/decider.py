@@ -9,7 +9,7 @@ from .planner_process import AnyPlanner, Decision, MapPose, Refused
 
 #: Default of each parameter, and what it is; all are read once, at the start.
 PARAMETERS: dict[str, tuple[Any, str]] = {
-    "planner": ("", "frontier, dc2g or dc2g_uncertain; empty: dc2g if there are labels, else frontier"),
+    "planner": ("dc2g", "dc2g, dc2g_uncertain or frontier"),
     "network": ("", "folder of a trained network; empty: the shipped one"),
     "cell_size": (0.25, "side of the planner's cells, meters"),
     "smallest_cell": (0.0, "side of the smallest cells after halving, meters; 0: a quarter of cell_size"),
@@ -32,7 +32,7 @@ def planner_options(given: Mapping[str, Any]) -> dict[str, Any]:
     if not given["period"] > 0:
         raise Refused(f"period: is {given['period']}; give seconds above 0")
     return {
-        "planner": given["planner"] or None,
+        "planner": given["planner"],
         "cell_size": given["cell_size"],
         "smallest_cell": given["smallest_cell"] or None,
         "sensing_range": given["sensing_range"],
