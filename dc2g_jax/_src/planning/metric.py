@@ -145,12 +145,7 @@ class MetricPlanner:
         self._classes = class_of_values(labels)
         self._cell_size = cell_size
         self._make = functools.partial(
-            OnlinePlanner,
-            planner,
-            network=network,
-            open_ended=True,
-            settings="occluded",
-            field_of_view=field_of_view,
+            OnlinePlanner, planner, network=network, open_ended=True, settings="occluded", field_of_view=field_of_view
         )
         self._sensing_range, self._largest = sensing_range, largest
         self._fixed_reach: int | None = None
