@@ -21,17 +21,27 @@ from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.runtime.devices import mesh_of, platform, require_memory
 from dc2g_jax._src.runtime.errors import InputError, check_number, check_seed
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.training.loop import Log, Pauses, Task, fit
 from dc2g_jax._src.training.tracking import TrackerName, run_folder
 from experiments.support.commands import number_or_null
 from experiments.translator.evaluation import metrics_over_pairs
 from experiments.translator.figures import plot_training
-from experiments.translator.network import TRANSLATOR, TranslatorArchitecture, TranslatorCostToGo
+from experiments.translator.network import (
+    TRANSLATOR,
+    Normalization,
+    TranslatorArchitecture,
+    TranslatorCostToGo,
+    with_statistics,
+)
 from experiments.translator.pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from experiments.translator.training import TRANSLATOR_LOSSES, TranslatorConfig, TranslatorTraining
 
 #: Steps between progress updates. A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
+
+#: Training images whose statistics a network with batch normalization uses after training.
+_IMAGES_OF_STATISTICS = 96
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +61,8 @@ class TranslationOptions(Pauses):
       learning_rate: learning rate of Adam.
       size: rows and columns of the images; a power of two of at least 32.
       base_filters: channels of the first layer of the generator and the discriminator.
+      normalization: `instance` normalizes each image by its own statistics; `batch` each batch in training, and later
+        all images alike. In batches of several images, the latter guides robots far better.
       compute_dtype: data type for computations of the networks.
     """
 
@@ -64,6 +76,7 @@ class TranslationOptions(Pauses):
     learning_rate: float = TranslatorConfig.learning_rate
     size: int = TranslatorArchitecture.size
     base_filters: int = TranslatorArchitecture.base_filters
+    normalization: Normalization = "instance"
     compute_dtype: Literal["float32", "bfloat16"] = "float32"
     validate_every: OptionalInt = 500
 
@@ -76,7 +89,7 @@ class TranslationOptions(Pauses):
         check_number("--steps", self.steps, whole=True, least=1)
         self.check_pauses()
         check_number("--whole-share", self.whole_share, least=0, most=1)
-        architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
+        architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype, self.normalization)
         images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
         require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
@@ -142,9 +155,7 @@ def train_translators(
     Raises:
       InputError: a folder holds a run with other options.
     """
-    draw = partial(
-        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
-    )
+    draw = partial(draw_image_pairs, whole_share=options.whole_share, augment=not options.no_augment)
     configs = {run: dataclasses.replace(config, seed=seed) for run, seed in seeds.items()}
     card = {
         "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
@@ -156,25 +167,28 @@ def train_translators(
         "commit": commit(),
     }
 
-    def network_of(weights: Any) -> TranslatorCostToGo:
-        return TranslatorCostToGo(weights["generator"], config.architecture)
+    def generator(weights: Any) -> Any:
+        if config.architecture.normalization != "batch":
+            return weights["generator"]
+        pairs = jit(partial(draw, batch_size=_IMAGES_OF_STATISTICS))(jax.random.key(0), jnp.int32(0), data.train)
+        return with_statistics(config.architecture, weights["generator"], pairs.image)
 
     def validate(weights: Any, step: int) -> dict[str, float | None]:
         if not options.validate_every:
             return {}
-        weights = {"generator": jax.tree.map(jnp.asarray, weights["generator"])}
-        metrics = metrics_over_pairs(network_of(weights), data.validation)
+        network = TranslatorCostToGo(jax.tree.map(jnp.asarray, generator(weights)), config.architecture)
+        metrics = metrics_over_pairs(network, data.validation)
         return {name: number_or_null(value) for name, value in metrics.items()}
 
     def save(folder: Path, weights: Any, facts: dict[str, Any]) -> None:
         seed = next(seed for run, seed in seeds.items() if run_folder(out, run) == folder)
         write_network(
-            folder / "network", weights["generator"], config.architecture, TRANSLATOR, {**card, "seed": seed, **facts}
+            folder / "network", generator(weights), config.architecture, TRANSLATOR, {**card, "seed": seed, **facts}
         )
 
     options_of_data = ("masks", "train_masks", "whole_share", "no_augment")
     task = Task(
-        training=TranslatorTraining(config, draw),
+        training=TranslatorTraining(config, partial(draw, batch_size=config.batch_size)),
         data=data.train,
         runs=configs,
         steps=options.steps,

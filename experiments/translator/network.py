@@ -5,11 +5,15 @@ weights with standard deviation 0.02, and normalization by the statistics of a b
 normalization. There are two differences. The innermost feature is not normalized: it is a single pixel, whose
 normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; in Hesse's, it stays on.
 Four more differences are in the data, see `docs/how_it_works/estimator.md`.
+
+With batch normalization, a trained generator uses the same statistics for all images, see `with_statistics`. The size
+of the authors' file suggests that theirs does.
 """
 
 import dataclasses
 import functools
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +42,10 @@ _DISCRIMINATOR_HALVINGS = 3
 #: Data types for computations; weights are always float32.
 _COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
+#: Axes whose statistics normalize features in training: those of each image, or of the whole batch.
+_AXES = {"instance": (1, 2), "batch": (0, 1, 2)}
+Normalization = Literal["instance", "batch"]
+
 
 @dataclasses.dataclass(frozen=True)
 class TranslatorArchitecture:
@@ -48,17 +56,21 @@ class TranslatorArchitecture:
         single pixel: 8 times for 256.
       base_filters: channels at half the images' resolution; doubled at each further level, up to 8 times.
       compute_dtype: `float32` or `bfloat16`.
+      normalization: `instance` normalizes each image by its own statistics; `batch` each batch in training, and later
+        all images by the statistics of some training images.
     """
 
     size: int = 256
     base_filters: int = 64
     compute_dtype: str = "float32"
+    normalization: str = "instance"
 
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096 or self.size & (self.size - 1):
             raise InputError(f"size {self.size}: give a power of two from 32 to 4096")
         check_number("base_filters", self.base_filters, whole=True, least=1, most=1024)
         check_name("compute_dtype", self.compute_dtype, _COMPUTE_DTYPES)
+        check_name("normalization", self.normalization, _AXES)
 
     @property
     def widths(self) -> tuple[int, ...]:
@@ -66,19 +78,41 @@ class TranslatorArchitecture:
         return tuple(self.base_filters * min(2**level, 8) for level in range(self.size.bit_length() - 1))
 
 
-class _InstanceNorm(nnx.Module):
-    """Normalize each channel of each image to zero mean and unit variance, then scale and shift."""
+class _Norm(nnx.Module):
+    """Scale and shift of each channel."""
 
     def __init__(self, width: int):
         self.scale = nnx.Param(jnp.ones(width))
         self.offset = nnx.Param(jnp.zeros(width))
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
-        wide = features.astype(jnp.float32)
-        mean = jnp.mean(wide, axis=(1, 2), keepdims=True)
-        variance = jnp.var(wide, axis=(1, 2), keepdims=True)
-        normal = (wide - mean) * jax.lax.rsqrt(variance + _EPSILON)
-        return (normal * self.scale[...] + self.offset[...]).astype(features.dtype)
+        return (features.astype(jnp.float32) * self.scale[...] + self.offset[...]).astype(features.dtype)
+
+
+#: Normalizes features.
+_Normalize = Callable[[_Norm, Float[Array, "b h w c"]], Float[Array, "b h w c"]]
+
+
+def _normalized(norm: _Norm, features: Float[Array, "b h w c"], *, axes: tuple[int, ...]) -> Float[Array, "b h w c"]:
+    """Each channel with zero mean and unit variance over these axes, then scaled and shifted."""
+    wide = features.astype(jnp.float32)
+    mean, variance = jnp.mean(wide, axis=axes, keepdims=True), jnp.var(wide, axis=axes, keepdims=True)
+    return norm((wide - mean) * jax.lax.rsqrt(variance + _EPSILON)).astype(features.dtype)
+
+
+def _with_own_statistics(norm: _Norm, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+    """As normalized by the batch; from now on, scale and shift include its statistics."""
+    wide = features.astype(jnp.float32)
+    scale = norm.scale[...] * jax.lax.rsqrt(jnp.var(wide, axis=(0, 1, 2)) + _EPSILON)
+    norm.offset[...] = norm.offset[...] - jnp.mean(wide, axis=(0, 1, 2)) * scale
+    norm.scale[...] = scale
+    return norm(features)
+
+
+def _usual(architecture: "TranslatorArchitecture", *, training: bool) -> _Normalize:
+    """How features are normalized in training, and by a trained network."""
+    name = architecture.normalization
+    return functools.partial(_normalized, axes=_AXES[name]) if training or name == "instance" else _Norm.__call__
 
 
 class _Doubling(nnx.Module):
@@ -117,11 +151,11 @@ class _Layer(nnx.Module):
 
     def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool):
         self.convolution = convolution
-        self.norm = _InstanceNorm(width) if normalize else None
+        self.norm = _Norm(width) if normalize else None
 
-    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+    def __call__(self, features: Float[Array, "b h w c"], normalize: _Normalize) -> Float[Array, "b h2 w2 d"]:
         features = self.convolution(features)
-        return features if self.norm is None else self.norm(features)
+        return features if self.norm is None else normalize(self.norm, features)
 
 
 _leaky = functools.partial(jax.nn.leaky_relu, negative_slope=0.2)
@@ -137,7 +171,7 @@ class Generator(nnx.Module):
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
         widths, dtype = architecture.widths, _COMPUTE_DTYPES[architecture.compute_dtype]
-        self.levels = len(widths)
+        self.architecture, self.levels = architecture, len(widths)
         innermost = self.levels - 1
         for level, width in enumerate(widths):
             below, skipped = (widths[level - 1] if level else 3), (1 if level == innermost else 2)
@@ -146,19 +180,22 @@ class Generator(nnx.Module):
             setattr(self, f"down{level}", _Layer(halve, width, normalize=0 < level < innermost))
             setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
 
-    def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
+    def __call__(
+        self, images: Float[Array, "b s s 3"], key: Array | None = None, normalize: _Normalize | None = None
+    ) -> Float[Array, "b s s 3"]:
         """Translate images of maps to images of their cost-to-go, see `experiments.translator.images`.
 
         A key turns on dropout, as in training; without it, the output is deterministic.
         """
+        normalize = normalize or _usual(self.architecture, training=key is not None)
         features, skipped = 2 * images - 1, []
         for level in range(self.levels):
-            features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features))
+            features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features), normalize)
             skipped.append(features)
         for level in reversed(range(self.levels)):
             if level < self.levels - 1:
                 features = jnp.concatenate([features, skipped[level]], axis=-1)
-            features = getattr(self, f"up{level}")(jax.nn.relu(features))
+            features = getattr(self, f"up{level}")(jax.nn.relu(features), normalize)
             if key is not None and self.levels - level <= _DROPOUT_LEVELS:
                 features = _dropped(features, jax.random.fold_in(key, level))
         return (jnp.tanh(features.astype(jnp.float32)) + 1) / 2
@@ -169,6 +206,7 @@ class Discriminator(nnx.Module):
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
         filters, dtype = architecture.base_filters, _COMPUTE_DTYPES[architecture.compute_dtype]
+        self.normalize = _usual(architecture, training=True)
         self.layers = _DISCRIMINATOR_HALVINGS + 2
         width_in = 6
         for layer in range(self.layers):
@@ -183,7 +221,7 @@ class Discriminator(nnx.Module):
         """Log-odds for every patch of each pair of an input and an output image."""
         features = 2 * jnp.concatenate([images, answers], axis=-1) - 1
         for layer in range(self.layers):
-            features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features))
+            features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features), self.normalize)
         return features[..., 0].astype(jnp.float32)
 
 
@@ -207,6 +245,19 @@ def init_weights(network: Network, architecture: TranslatorArchitecture, key: Ar
 
     weights = [weight(path, leaf, end) for (path, leaf), end in zip(leaves, ends.tolist(), strict=True)]
     return jax.tree_util.tree_unflatten(structure, weights)
+
+
+@functools.partial(jit, static_argnums=0)
+def with_statistics(
+    architecture: TranslatorArchitecture, weights: dict[str, Any], images: Float[Array, "b s s 3"]
+) -> dict[str, Any]:
+    """The weights of a generator after training with batch normalization, to be used as they are.
+
+    Each scale and offset includes the mean and variance of the layer's features, over these images together.
+    """
+    generator = with_weights(Generator, architecture, weights)
+    generator(images, normalize=_with_own_statistics)
+    return nnx.to_pure_dict(nnx.state(generator))
 
 
 @struct.dataclass

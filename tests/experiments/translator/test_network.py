@@ -1,5 +1,6 @@
 """The pix2pix networks: the published shapes, layers that do what they say, and an estimator that planners can use."""
 
+import dataclasses
 import functools
 import json
 
@@ -25,6 +26,7 @@ from experiments.translator.network import (
     TranslatorArchitecture,
     TranslatorCostToGo,
     init_weights,
+    with_statistics,
 )
 from tests.support.refusals import refusal
 
@@ -99,14 +101,24 @@ def test_doubling_is_a_transposed_convolution():
     np.testing.assert_allclose(layer(features), expected + np.arange(3.0), atol=1e-5)
 
 
-def test_normalization_is_by_channel_and_picture():
-    layer = pix2pix._InstanceNorm(3)
+@pytest.mark.parametrize("axes", [(1, 2), (0, 1, 2)])
+def test_normalization_is_by_channel_and_picture_or_batch(axes):
+    layer = pix2pix._Norm(3)
     layer.scale[...] = jnp.array([1.0, 2.0, -1.0])
     features = np.random.default_rng(0).normal(5, 3, (2, 8, 8, 3)).astype(np.float32)
-    mean, deviation = features.mean(axis=(1, 2), keepdims=True), features.std(axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(
-        layer(jnp.asarray(features)), (features - mean) / deviation * np.asarray(layer.scale[...]), atol=1e-4
-    )
+    mean, deviation = features.mean(axis=axes, keepdims=True), features.std(axis=axes, keepdims=True)
+    expected = (features - mean) / deviation * np.asarray(layer.scale[...])
+    np.testing.assert_allclose(pix2pix._normalized(layer, jnp.asarray(features), axes=axes), expected, atol=1e-4)
+
+
+def test_after_batch_normalization_all_pictures_are_normalized_alike(weights, pictures):
+    batch = dataclasses.replace(TINY, normalization="batch")
+    in_training = functools.partial(pix2pix._normalized, axes=(0, 1, 2))
+    expected = with_weights(Generator, batch, weights)(pictures, normalize=in_training)
+    trained = with_weights(Generator, batch, with_statistics(batch, weights, pictures))
+    np.testing.assert_allclose(trained(pictures), expected, atol=1e-5)
+    np.testing.assert_allclose(trained(pictures[:1]), expected[:1], atol=1e-5)
+    assert not np.allclose(expected, translate(weights, pictures), atol=1e-3)
 
 
 def test_bfloat16_answers_about_the_same(weights, pictures):
@@ -118,7 +130,13 @@ def test_bfloat16_answers_about_the_same(weights, pictures):
 
 @pytest.mark.parametrize(
     ("change", "mention"),
-    [({"size": 48}, "48"), ({"size": 16}, "16"), ({"base_filters": 0}, "0"), ({"compute_dtype": "int8"}, "bfloat16")],
+    [
+        ({"size": 48}, "48"),
+        ({"size": 16}, "16"),
+        ({"base_filters": 0}, "0"),
+        ({"compute_dtype": "int8"}, "bfloat16"),
+        ({"normalization": "layer"}, "batch"),
+    ],
 )
 def test_networks_that_cannot_be_built(change, mention):
     with pytest.raises(ValueError, match=mention):
