@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Mapping
 from functools import partial
@@ -12,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, OptionalInt, TrainingOptions
@@ -61,8 +63,8 @@ class TranslationOptions(Pauses):
       learning_rate: learning rate of Adam.
       size: rows and columns of the images; a power of two of at least 32.
       base_filters: channels of the first layer of the generator and the discriminator.
-      normalization: `instance` normalizes each image by its own statistics; `batch` each batch in training, and later
-        all images alike. In batches of several images, the latter guides robots far better.
+      normalization: `instance`: by the statistics of each image. `batch`: by those of the batch, and after training by
+        those of 96 training images.
       compute_dtype: data type for computations of the networks.
     """
 
@@ -91,7 +93,8 @@ class TranslationOptions(Pauses):
         check_number("--whole-share", self.whole_share, least=0, most=1)
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype, self.normalization)
         images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
-        require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
+        most = max(self.batch_size, _IMAGES_OF_STATISTICS if self.normalization == "batch" else 0)
+        require_memory(most * images, f"--batch-size {self.batch_size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
 
 
@@ -167,11 +170,15 @@ def train_translators(
         "commit": commit(),
     }
 
+    @functools.cache
+    def some_images() -> Array:
+        drawn = jit(partial(draw, batch_size=_IMAGES_OF_STATISTICS))(jax.random.key(0), jnp.int32(0), data.train)
+        return drawn.image
+
     def generator(weights: Any) -> Any:
-        if config.architecture.normalization != "batch":
+        if config.architecture.normalization == "instance":
             return weights["generator"]
-        pairs = jit(partial(draw, batch_size=_IMAGES_OF_STATISTICS))(jax.random.key(0), jnp.int32(0), data.train)
-        return with_statistics(config.architecture, weights["generator"], pairs.image)
+        return with_statistics(config.architecture, weights["generator"], some_images())
 
     def validate(weights: Any, step: int) -> dict[str, float | None]:
         if not options.validate_every:
@@ -232,7 +239,8 @@ def main(options: Options) -> None:
     logs = {loss: [Log(options.out).by_step(run) for run in seeds] for loss, seeds in runs.items()}
     caption = (
         f"{len(data.train.pair_house)} training and {len(data.validation.pair_house)} validation pairs of "
-        f"{dataset.name}; {options.base_filters} filters, {options.size} x {options.size} pixels; "
+        f"{dataset.name}; {options.base_filters} filters, {options.size} x {options.size} pixels, "
+        f"{options.normalization} normalization, batches of {options.batch_size}; "
         f"mean and one standard deviation of {len(options.seeds)} runs, moving average of {options.window}. "
         "Precision and recall of the pixels of all validation pairs together; a run that predicts none near a goal has "
         "no precision, and no part in the mean."

@@ -6,8 +6,7 @@ normalization. There are two differences. The innermost feature is not normalize
 normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; in Hesse's, it stays on.
 Four more differences are in the data, see `docs/how_it_works/estimator.md`.
 
-With batch normalization, a trained generator uses the same statistics for all images, see `with_statistics`. The size
-of the authors' file suggests that theirs does.
+With batch normalization, a trained generator uses the same statistics for all images, see `with_statistics`.
 """
 
 import dataclasses
@@ -56,8 +55,8 @@ class TranslatorArchitecture:
         single pixel: 8 times for 256.
       base_filters: channels at half the images' resolution; doubled at each further level, up to 8 times.
       compute_dtype: `float32` or `bfloat16`.
-      normalization: `instance` normalizes each image by its own statistics; `batch` each batch in training, and later
-        all images by the statistics of some training images.
+      normalization: `instance`: by the statistics of each image. `batch`: by those of the batch, and after training by
+        those of some training images.
     """
 
     size: int = 256
@@ -101,7 +100,7 @@ def _normalized(norm: _Norm, features: Float[Array, "b h w c"], *, axes: tuple[i
 
 
 def _with_own_statistics(norm: _Norm, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
-    """As normalized by the batch; from now on, scale and shift include its statistics."""
+    """Normalize by the batch, and fold its mean and variance into scale and offset."""
     wide = features.astype(jnp.float32)
     scale = norm.scale[...] * jax.lax.rsqrt(jnp.var(wide, axis=(0, 1, 2)) + _EPSILON)
     norm.offset[...] = norm.offset[...] - jnp.mean(wide, axis=(0, 1, 2)) * scale
@@ -109,10 +108,10 @@ def _with_own_statistics(norm: _Norm, features: Float[Array, "b h w c"]) -> Floa
     return norm(features)
 
 
-def _usual(architecture: "TranslatorArchitecture", *, training: bool) -> _Normalize:
-    """How features are normalized in training, and by a trained network."""
-    name = architecture.normalization
-    return functools.partial(_normalized, axes=_AXES[name]) if training or name == "instance" else _Norm.__call__
+def _usual(normalization: str, *, training: bool) -> _Normalize:
+    """How features are normalized in training, or by a trained network."""
+    fixed = normalization == "batch" and not training
+    return _Norm.__call__ if fixed else functools.partial(_normalized, axes=_AXES[normalization])
 
 
 class _Doubling(nnx.Module):
@@ -171,7 +170,7 @@ class Generator(nnx.Module):
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
         widths, dtype = architecture.widths, _COMPUTE_DTYPES[architecture.compute_dtype]
-        self.architecture, self.levels = architecture, len(widths)
+        self.normalization, self.levels = architecture.normalization, len(widths)
         innermost = self.levels - 1
         for level, width in enumerate(widths):
             below, skipped = (widths[level - 1] if level else 3), (1 if level == innermost else 2)
@@ -185,9 +184,10 @@ class Generator(nnx.Module):
     ) -> Float[Array, "b s s 3"]:
         """Translate images of maps to images of their cost-to-go, see `experiments.translator.images`.
 
-        A key turns on dropout, as in training; without it, the output is deterministic.
+        With a key, as in training: there is dropout, and batch normalization uses the batch. Without it, the output is
+        deterministic. `normalize` takes the place of the architecture's normalization.
         """
-        normalize = normalize or _usual(self.architecture, training=key is not None)
+        normalize = normalize or _usual(self.normalization, training=key is not None)
         features, skipped = 2 * images - 1, []
         for level in range(self.levels):
             features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features), normalize)
@@ -206,7 +206,7 @@ class Discriminator(nnx.Module):
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
         filters, dtype = architecture.base_filters, _COMPUTE_DTYPES[architecture.compute_dtype]
-        self.normalize = _usual(architecture, training=True)
+        self.normalization = architecture.normalization
         self.layers = _DISCRIMINATOR_HALVINGS + 2
         width_in = 6
         for layer in range(self.layers):
@@ -219,9 +219,10 @@ class Discriminator(nnx.Module):
 
     def __call__(self, images: Float[Array, "b s s 3"], answers: Float[Array, "b s s 3"]) -> Float[Array, "b p q"]:
         """Log-odds for every patch of each pair of an input and an output image."""
+        normalize = _usual(self.normalization, training=True)
         features = 2 * jnp.concatenate([images, answers], axis=-1) - 1
         for layer in range(self.layers):
-            features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features), self.normalize)
+            features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features), normalize)
         return features[..., 0].astype(jnp.float32)
 
 

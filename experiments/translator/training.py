@@ -12,7 +12,7 @@ import optax
 from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax._src.estimation.weights import with_weights
-from dc2g_jax._src.runtime.errors import check_name, check_number
+from dc2g_jax._src.runtime.errors import InputError, check_name, check_number
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 from experiments.translator.network import Discriminator, Generator, TranslatorArchitecture, init_weights
 from experiments.translator.pairs import ImagePair
@@ -37,7 +37,7 @@ class TranslatorConfig:
       seed: seed of weights, order of the pairs and dropout.
 
     Raises:
-      InputError: the loss is unknown, or a number is invalid.
+      InputError: the loss is unknown, a number is invalid, or batches of one image were to be normalized by the batch.
     """
 
     architecture: TranslatorArchitecture = dataclasses.field(default_factory=TranslatorArchitecture)
@@ -51,6 +51,8 @@ class TranslatorConfig:
         check_name("loss", self.loss, TRANSLATOR_LOSSES)
         check_number("learning rate", float(np.float32(self.learning_rate)), above=0)
         check_number("batch size", self.batch_size, whole=True, least=1)
+        if self.architecture.normalization == "batch" and self.batch_size == 1:
+            raise InputError("batch size 1: batch normalization needs more images (--batch-size 4)")
 
     @property
     def hyperparameters(self) -> UInt32[Array, ""]:

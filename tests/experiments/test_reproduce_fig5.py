@@ -16,6 +16,7 @@ from dc2g_jax._src.training import loop
 from dc2g_jax._src.training.loop import Log
 from experiments import reproduce_fig4, reproduce_fig5
 from experiments.reproduce_fig5 import TranslationOptions, train_translators, translation_data
+from experiments.translator.network import Generator, init_weights
 from tests.support import maps
 
 OPTIONS = TranslationOptions(
@@ -150,6 +151,19 @@ def test_networks_that_cannot_be_built_are_refused_in_one_line():
         dataclasses.replace(OPTIONS, steps=0).config("l1")
     with pytest.raises(InputError, match="l1, gan"):
         OPTIONS.config("l3")
+    with pytest.raises(InputError, match="--batch-size 4"):
+        dataclasses.replace(OPTIONS, normalization="batch").config("l1")
+
+
+@pytest.mark.usefixtures("steps")
+def test_a_network_trained_with_batch_normalization_is_saved_with_statistics(dataset, tmp_path):
+    train(tmp_path, dataset, normalization="batch", batch_size=2)
+    network = network_in_folder(tmp_path / "runs" / "run" / "network")
+    assert network.architecture.normalization == "batch"
+    pictures = jax.random.uniform(jax.random.key(0), (2, 32, 32, 3))
+    np.testing.assert_allclose(network.answer(pictures)[:1], network.answer(pictures[:1]), atol=1.01 / 255)
+    first = init_weights(Generator, network.architecture, jax.random.split(jax.random.key(0), 3)[0])
+    assert not np.allclose(network.weights["up1"]["norm"]["scale"], first["up1"]["norm"]["scale"], rtol=0.1)
 
 
 @pytest.mark.slow

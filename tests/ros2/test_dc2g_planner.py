@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from dc2g_planner import messages, planner_process
+from dc2g_planner.decider import PARAMETERS
 from dc2g_planner.planner_process import Decision, MapPose, Refused
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
@@ -183,6 +184,9 @@ def test_the_file_of_parameters_has_those_of_the_node(start):
     assert parameters.pop("use_sim_time") is False  # every node has it
     node = start(**parameters)
     assert node.declared == parameters.keys()
+    assert {name: parameters[name] for name in PARAMETERS} == {
+        name: default for name, (default, _) in PARAMETERS.items()
+    }
     table = (ROOT / "docs/tutorials/on_a_ros2_robot.md").read_text()
     assert [name for name in node.declared if f"| `{name}` |" not in table] == []
 

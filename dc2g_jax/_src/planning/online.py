@@ -216,8 +216,8 @@ class OnlinePlanner:
         for side in (rows, columns):
             check_number("largest", side, whole=True, least=1, hint="rows and columns")
         check_sensing_range("sensing_range", sensing_range)
-        if isinstance(planner, str):
-            if ":" not in planner:
+        if not hasattr(planner, "plan"):
+            if not isinstance(planner, str) or ":" not in planner:
                 check_name("planner for a robot", planner, ONLINE_PLANNERS, "or one of your own")
             planner = make_planner(
                 planner, network=network, settings=settings, sensing_range=sensing_range, field_of_view=field_of_view

@@ -113,12 +113,26 @@ def test_normalization_is_by_channel_and_picture_or_batch(axes):
 
 def test_after_batch_normalization_all_pictures_are_normalized_alike(weights, pictures):
     batch = dataclasses.replace(TINY, normalization="batch")
+    weights = jax.tree.map(lambda leaf: leaf + 0.01 * jnp.arange(leaf.size).reshape(leaf.shape) % 0.1, weights)
     in_training = functools.partial(pix2pix._normalized, axes=(0, 1, 2))
     expected = with_weights(Generator, batch, weights)(pictures, normalize=in_training)
     trained = with_weights(Generator, batch, with_statistics(batch, weights, pictures))
     np.testing.assert_allclose(trained(pictures), expected, atol=1e-5)
     np.testing.assert_allclose(trained(pictures[:1]), expected[:1], atol=1e-5)
     assert not np.allclose(expected, translate(weights, pictures), atol=1e-3)
+
+
+@pytest.mark.parametrize("normalization", ["instance", "batch"])
+def test_in_training_batch_normalization_mixes_pictures(weights, pictures, monkeypatch, normalization):
+    monkeypatch.setattr(pix2pix, "_DROPOUT_LEVELS", 0)
+    architecture = dataclasses.replace(TINY, normalization=normalization)
+    generate = with_weights(Generator, architecture, weights)
+    judge = with_weights(Discriminator, architecture, init_weights(Discriminator, architecture, jax.random.key(1)))
+    for both, alone in (
+        (generate(pictures, jax.random.key(0)), generate(pictures[:1], jax.random.key(0))),
+        (judge(pictures, pictures), judge(pictures[:1], pictures[:1])),
+    ):
+        assert np.allclose(both[:1], alone, atol=1e-5) == (normalization == "instance")
 
 
 def test_bfloat16_answers_about_the_same(weights, pictures):
