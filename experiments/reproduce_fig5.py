@@ -4,10 +4,9 @@
 """
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -93,8 +92,9 @@ class TranslationOptions(Pauses):
         check_number("--whole-share", self.whole_share, least=0, most=1)
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype, self.normalization)
         images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
-        most = max(self.batch_size, _IMAGES_OF_STATISTICS if self.normalization == "batch" else 0)
-        require_memory(most * images, f"--batch-size {self.batch_size}")
+        require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
+        if self.normalization == "batch":
+            require_memory(_IMAGES_OF_STATISTICS * images, f"--size {self.size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
 
 
@@ -170,7 +170,7 @@ def train_translators(
         "commit": commit(),
     }
 
-    @functools.cache
+    @cache
     def some_images() -> Array:
         drawn = jit(partial(draw, batch_size=_IMAGES_OF_STATISTICS))(jax.random.key(0), jnp.int32(0), data.train)
         return drawn.image

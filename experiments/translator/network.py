@@ -102,8 +102,8 @@ def _normalized(norm: _Norm, features: Float[Array, "b h w c"], *, axes: tuple[i
 def _with_own_statistics(norm: _Norm, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
     """Normalize by the batch, and fold its mean and variance into scale and offset."""
     wide = features.astype(jnp.float32)
-    scale = norm.scale[...] * jax.lax.rsqrt(jnp.var(wide, axis=(0, 1, 2)) + _EPSILON)
-    norm.offset[...] = norm.offset[...] - jnp.mean(wide, axis=(0, 1, 2)) * scale
+    scale = norm.scale[...] * jax.lax.rsqrt(jnp.var(wide, axis=_AXES["batch"]) + _EPSILON)
+    norm.offset[...] = norm.offset[...] - jnp.mean(wide, axis=_AXES["batch"]) * scale
     norm.scale[...] = scale
     return norm(features)
 
