@@ -288,7 +288,7 @@ def test_a_network_predicts_nothing_from_an_occupancy_map():
         decision = planner.plan(grid_of(cells), place(*robot), doors=doors)
         assert decision.mode == "explore"
         assert {each.cost_to_go for each in decision.candidates} == {0.0}
-        assert " 0.0 predicted cost-to-go" in decision.why
+        assert "cost-to-go" not in decision.why
         planner.set_aside(decision.subgoal)
 
 

@@ -209,9 +209,9 @@ def check_candidates(planner: OnlinePlanner, decision: Decision, found, grid, po
 
 def shown_sum(why: str) -> float:
     """The sum of the terms that a reason shows, each rounded to a tenth."""
-    shown = re.search(r" = (-?[\d.]+) predicted cost-to-go(.*)", why)
-    others = re.findall(r" ([+-]) ([\d.]+) for (?:the way there|what it reveals)", shown[2])
-    return float(shown[1]) + sum(float(sign + term) for sign, term in others)
+    _, terms = why.split(" = ")
+    named = re.findall(r"(-?|[+-] )([\d.]+) (?:predicted cost-to-go|for the way there|for what it reveals)", terms)
+    return sum(float(sign.strip() + term) for sign, term in named)
 
 
 def check_path(decision: Decision, pose, shape) -> None:
@@ -245,6 +245,9 @@ def test_reasons(street):
         ((17.2, 28, 30.4, -0.8), "30.4 = 17.2 predicted cost-to-go + 14.0 for the way there - 0.8 for what it reveals"),
         ((17.2, 1, 19.7, 2.0), "19.7 = 17.2 predicted cost-to-go + 0.5 for the way there + 2.0 for what it reveals"),
         ((17.2, 28, 17.2, 0.0), "17.2 = 17.2 predicted cost-to-go"),
+        ((0.0, 28, -1.0, -15.0), "-1.0 = 14.0 for the way there - 15.0 for what it reveals"),
+        ((0.0, 1, -2.0, -2.0), "-2.0 = -2.0 for what it reveals"),
+        ((0.0, 1, 0.0, 0.0), "0.0 = 0.0 predicted cost-to-go"),
         ((None, 28, 7.0, 0.0), "7.0"),
     ],
 )

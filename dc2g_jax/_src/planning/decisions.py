@@ -193,13 +193,18 @@ def _in_cells(x: int, y: int, heading: int) -> tuple[str, str]:
 
 
 def _sum(best: Candidate) -> str:
-    """The terms of a candidate's score, as text."""
+    """The terms of a candidate's score that are not zero, as text."""
     if best.cost_to_go is None:
         return ""
-    others = (best.score - best.cost_to_go - best.penalty, "the way there"), (best.penalty, "what it reveals")
-    shown = [f"{best.cost_to_go:.1f} predicted cost-to-go"]
-    shown += [f"{'-' if value < 0 else '+'} {abs(value):.1f} for {what}" for value, what in others if abs(value) > 0.05]
-    return f" = {' '.join(shown)}"
+    terms = (
+        (best.cost_to_go, "predicted cost-to-go"),
+        (best.score - best.cost_to_go - best.penalty, "for the way there"),
+        (best.penalty, "for what it reveals"),
+    )
+    shown = [(value, what) for value, what in terms if abs(value) > 0.05] or terms[:1]
+    (first, what), *others = shown
+    more = "".join(f" {'-' if value < 0 else '+'} {abs(value):.1f} {what}" for value, what in others)
+    return f" = {first:.1f} {what}{more}"
 
 
 def explain(
