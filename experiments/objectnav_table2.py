@@ -51,12 +51,13 @@ class Options(ComparisonOptions):
     Attributes:
       networks: folders of networks, from `objectnav_train` with `--inputs semantic` and so on; the last one
         is compared with the others. The shipped network by default.
-      agent: how costs guide the robot: promising or predicted; see python -m experiments.objectnav_table1.
+      agent: how costs guide the robot: predicted (the paper's) or promising; see python -m
+        experiments.objectnav_table1.
       maps: number of partial maps to predict costs for.
     """
 
     networks: Annotated[tuple[str | Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
-    agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "promising"
+    agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "predicted"
     maps: int = 2048
 
 
