@@ -1,5 +1,6 @@
 """Work divided among devices and processes gives what one device gives."""
 
+import os
 import platform
 import resource
 import socket
@@ -116,6 +117,39 @@ def test_settle_waits_where_several_cores_are_devices():
     waited = []
     settle([types.SimpleNamespace(block_until_ready=lambda: waited.append(True))])
     assert waited
+
+
+_LATE = """
+import time
+import jax, jax.numpy as jnp, numpy as np
+from jax.sharding import PartitionSpec as P
+from dc2g_jax._src.runtime.devices import AXIS, mesh_of, use_cores
+
+def late(core):
+    time.sleep(75 * core)
+    return np.float32(core)
+
+def on_device(share):
+    core = jax.pure_callback(late, jax.ShapeDtypeStruct((), jnp.float32), jax.lax.axis_index(AXIS))
+    return jax.lax.psum(share + core, AXIS)
+
+use_cores(2)
+print(jax.jit(jax.shard_map(on_device, mesh=mesh_of(), in_specs=P(AXIS), out_specs=P(), check_vma=False))(jnp.ones(2)))
+"""
+
+
+@pytest.mark.slow
+def test_a_core_that_is_a_minute_behind_is_waited_for():
+    done = subprocess.run([sys.executable, "-c", _LATE], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert (done.returncode, done.stdout) == (0, "[3.]\n"), done.stderr
+
+
+def test_flags_of_the_user_come_after_those_of_the_package(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_collective_call_terminate_timeout_seconds=5")
+    use_cores(jax.device_count())
+    ours, *_, theirs = os.environ["XLA_FLAGS"].split()
+    assert ours.endswith("=600")
+    assert theirs.endswith("=5")
 
 
 @pytest.mark.slow

@@ -202,9 +202,9 @@ def _sum(best: Candidate) -> str:
         (best.penalty, "for what it reveals"),
     )
     shown = [(value, what) for value, what in terms if abs(value) > 0.05] or terms[:1]
-    (first, what), *others = shown
+    (first, name), *others = shown
     more = "".join(f" {'-' if value < 0 else '+'} {abs(value):.1f} {what}" for value, what in others)
-    return f" = {first:.1f} {what}{more}"
+    return f" = {first:.1f} {name}{more}"
 
 
 def explain(

@@ -32,6 +32,9 @@ _SECONDS_PER_CALL = 0.3
 #: Seconds after which the other processes notice that one has died, and end.
 _SECONDS_TO_NOTICE = 30
 
+#: On a busy machine, one core can be a minute behind another, after which XLA would abort the process.
+_PATIENCE = "--xla_cpu_collective_call_terminate_timeout_seconds=600"
+
 
 def cores() -> int:
     """Number of CPU cores that this process may use."""
@@ -72,7 +75,8 @@ def join_processes(
 def use_cores(count: int | None = None) -> None:
     """Make each CPU core a device. Call it before JAX runs anything.
 
-    Without this call, JAX treats a CPU as one device, and rollouts use a single core.
+    Without this call, JAX treats a CPU as one device, and rollouts use a single core. Cores wait up to ten minutes for
+    each other, unless `XLA_FLAGS` says otherwise.
 
     Args:
       count: number of devices, which may exceed the number of cores; `None` for all cores.
@@ -82,6 +86,9 @@ def use_cores(count: int | None = None) -> None:
     """
     wanted = cores() if count is None else count
     check_number("number of cores", wanted, whole=True, least=1)
+    flags = os.environ.get("XLA_FLAGS", "")
+    if _PATIENCE not in flags:
+        os.environ["XLA_FLAGS"] = f"{_PATIENCE} {flags}"  # the user's own come last, and win
     try:
         jax.config.update("jax_num_cpu_devices", wanted)
     except RuntimeError:
