@@ -378,8 +378,8 @@ def test_images_without_their_list(folder):
 
 
 def test_paths_that_are_no_dataset(folder, tmp_path):
-    refusal(lambda: load_dataset(tmp_path / "nowhere"), tmp_path / "nowhere", "is no folder", "labels_colors.csv")
-    refusal(lambda: load_dataset(folder / "labels_colors.csv"), "is no folder", "give a folder")
+    refusal(lambda: load_dataset(tmp_path / "nowhere"), tmp_path / "nowhere", "is not a folder", "labels_colors.csv")
+    refusal(lambda: load_dataset(folder / "labels_colors.csv"), "is not a folder", "give a folder")
     (tmp_path / "empty").mkdir()
     refusal(lambda: load_dataset(tmp_path / "empty"), tmp_path / "empty", "empty", "labels_colors.csv")
     (tmp_path / "empty" / "notes.txt").write_text("x")

@@ -236,7 +236,8 @@ def _open_location(location: str, setting: str, cells: int | None, split: str | 
     except (OSError, RuntimeError):
         found = False
     if not found:
-        raise InputError(f"{location!r}: {setting} is not a folder; give a dataset's, or one of {', '.join(NAMED)}")
+        names = ", ".join(NAMED)
+        raise InputError(f"{location!r}: {setting} is not a folder; give the folder of a dataset, or one of {names}")
     for plugin in plugins("dataset_folders").values():
         dataset = plugin.load()(folder)
         if dataset is not None:
@@ -269,7 +270,7 @@ def _is_map_folder(folder: Path) -> bool:
 def _check_folder(folder: Path) -> None:
     needed = f"{PALETTE_FILE}, {_IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
     if not folder.is_dir() or not any(folder.iterdir()):
-        raise InputError(f"{folder}: is no folder, or empty; give a folder with {needed}")
+        raise InputError(f"{folder}: is not a folder, or is empty; give a folder with {needed}")
     if not any((folder / name).exists() for name in SPLIT_FILES.values()):
         lists = ", ".join(SPLIT_FILES.values())
         raise InputError(
