@@ -16,7 +16,7 @@ from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet, ini
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
 from dc2g_jax._src.estimation.weights import shapes_of_weights
 from dc2g_jax._src.grid.search import EIGHT_CONNECTED
-from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE, UNKNOWN
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import summarized
 from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
@@ -80,7 +80,7 @@ def test_the_pure_function_is_the_module():
     [
         ({"widths": (4,)}, "number of widths 1: give a number from 2 to 16"),
         ({"widths": (4, 0)}, "width 0: give a whole number from 1 to 4096 channels"),
-        ({"patch": 0}, "patch 0: give a whole number from 1 to 64 cells"),
+        ({"patch": 0}, "patch 0: give a whole number from 1 to 16 cells"),
         ({"side": 4097}, "side 4097: give"),
         ({"cost_scale": 0.0}, r"cost_scale 0\.0: give a number above 0"),
         ({"embedding": -1}, "embedding -1: give"),
@@ -147,6 +147,32 @@ def test_the_exact_estimator_knows_the_hidden_map(street):
     np.testing.assert_allclose(wrong.estimate(nothing, wrong.init(world)), estimate * np.exp(error), rtol=1e-6)
 
 
+@pytest.mark.parametrize("side", [1, 2, 5])
+def test_the_first_layer_is_the_product_with_one_hot_classes(side):
+    rng = np.random.default_rng(side)
+    terrain = rng.integers(0, OUTSIDE + 1, (3, 2 * side, 4 * side), np.uint8)
+    terrain[0] = UNKNOWN
+    terrain[1] = OUTSIDE
+    kernel = rng.normal(size=(side**2 * len(CLASS_NAMES), 7)).astype(np.float32)
+    weight = rng.normal(size=(3, 2, 4, 7)).astype(np.float32)
+
+    def weighted(kernel):
+        answer = compact_unet.embedded(kernel, jnp.asarray(terrain), side)
+        return jnp.sum(answer * weight), answer
+
+    gradient, answer = jax.jit(jax.grad(weighted, has_aux=True))(jnp.asarray(kernel))
+    expected, slope = np.zeros(weight.shape), np.zeros(kernel.shape)
+    for number, row, column in np.ndindex(weight.shape[:3]):
+        for i, j in np.ndindex(side, side):
+            kind = int(terrain[number, side * row + i, side * column + j])
+            if kind < len(CLASS_NAMES):
+                place = (side * i + j) * len(CLASS_NAMES) + kind
+                expected[number, row, column] += kernel[place]
+                slope[place] += weight[number, row, column]
+    np.testing.assert_allclose(answer, expected, atol=1e-5)
+    np.testing.assert_allclose(gradient, slope, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     "architecture",
     [
@@ -162,7 +188,9 @@ def test_multiply_accumulates(architecture):
     cells = [(32 >> scale) ** 2 for scale in range(len(widths))]
     residual = [2 * 9 * width * width for width in widths]
     finest = embedding or widths[0]
-    linear = area * len(CLASS_NAMES) * finest + finest * area * len(architecture.quantiles)
+    # A CPU adds a row of the first layer for each cell.
+    first = area * finest // 2 if jax.default_backend() == "cpu" else area * len(CLASS_NAMES) * finest
+    linear = first + finest * area * len(architecture.quantiles)
     linear += embedding * widths[0] + (widths[0] + embedding) * embedding
     by_hand = cells[0] * (linear + 2 * residual[0])
     for scale in range(1, len(widths)):

