@@ -141,11 +141,17 @@ def test_cost_to_go_of_a_turned_map_is_the_turned_cost_to_go():
     np.testing.assert_array_equal(jnp.moveaxis(costs, -1, 0), pairs.target)
 
 
-def test_a_map_that_is_not_square_keeps_its_shape():
-    data, _ = training_set((7, 33))
+@pytest.mark.parametrize("shape", [(12, 12), (7, 33)])
+def test_each_symmetry_reverses_columns_then_rows_then_transposes_squares(shape):
+    data, _ = training_set(shape)
     pairs = pair_maker()(data, jnp.full(SYMMETRY_COUNT, 1), jnp.arange(SYMMETRY_COUNT))
-    assert pairs.terrain.shape == (SYMMETRY_COUNT, 7, 33)
-    assert len({np.asarray(grid).tobytes() for grid in pairs.terrain}) == 4
+    for grids in (pairs.terrain, pairs.target, pairs.weight):
+        for symmetry, grid in enumerate(grids):
+            expected = np.asarray(grids[0])
+            expected = expected[:, ::-1] if symmetry & 1 else expected
+            expected = expected[::-1] if symmetry & 2 else expected
+            expected = expected.T if symmetry & 4 and shape[0] == shape[1] else expected
+            np.testing.assert_array_equal(grid, expected)
 
 
 def masks_drawn(data: TrainingSet, batch: Pair) -> list[int]:

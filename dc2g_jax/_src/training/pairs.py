@@ -61,9 +61,8 @@ def turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
     columns = jnp.where(symmetry & 1, width - 1 - columns, columns)
     if height != width:
         return grid[rows[:, None], columns]
-    transposed = (symmetry & 4) > 0
-    # One lookup takes a third of the time of three selections.
-    return grid[jnp.where(transposed, rows, rows[:, None]), jnp.where(transposed, columns[:, None], columns)]
+    # One lookup is faster on a CPU than three selections between whole grids.
+    return grid[jnp.where(symmetry & 4, rows, rows[:, None]), jnp.where(symmetry & 4, columns[:, None], columns)]
 
 
 def _near(cells: Bool[Array, "h w"], distance: int) -> Bool[Array, "h w"]:
