@@ -145,6 +145,8 @@ def test_cost_to_go_of_a_turned_map_is_the_turned_cost_to_go():
 def test_each_symmetry_reverses_columns_then_rows_then_transposes_squares(shape):
     data, _ = training_set(shape)
     pairs = pair_maker()(data, jnp.full(SYMMETRY_COUNT, 1), jnp.arange(SYMMETRY_COUNT))
+    assert pairs.terrain.shape == (SYMMETRY_COUNT, *shape)
+    assert len({np.asarray(grid).tobytes() for grid in pairs.terrain}) == (8 if shape[0] == shape[1] else 4)
     for grids in (pairs.terrain, pairs.target, pairs.weight):
         for symmetry, grid in enumerate(grids):
             expected = np.asarray(grids[0])

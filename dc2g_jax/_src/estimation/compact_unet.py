@@ -85,10 +85,11 @@ def embedded(kernel: Float[Array, "c d"], terrain: UInt8[Array, "b h w"], side: 
 
     def sums(kernel: Array, terrain: Array) -> Array:
         rows = kernel.reshape(side, side, len(CLASS_NAMES), -1)
-        rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 1), (0, 0)))  # zeros for cells outside the map
-        kinds = jnp.minimum(terrain, OUTSIDE)
-        cells = itertools.product(range(side), repeat=2)
-        return functools.reduce(jnp.add, [rows[i, j][kinds[:, i::side, j::side]] for i, j in cells])
+
+        def of_cell(i: int, j: int) -> Array:
+            return rows[i, j].at[terrain[:, i::side, j::side]].get(mode="fill", fill_value=0)
+
+        return functools.reduce(jnp.add, itertools.starmap(of_cell, itertools.product(range(side), repeat=2)))
 
     product = functools.partial(_one_hot_product, side=side)
     return jax.lax.platform_dependent(kernel, terrain, cpu=functools.partial(apart, sums), default=product)
