@@ -177,6 +177,36 @@ def test_the_first_layer_is_the_product_with_one_hot_classes(side):
 
 
 @pytest.mark.parametrize(
+    "shape",
+    [(8, 5, 5), (9, 3, 3), (8, 1, 2), (8, 4, 5), (8, 2, 3), (7, 3, 3), (8, 5, 6)],
+    ids="{0[0]}x{0[1]}x{0[2]}".format,
+)
+def test_a_convolution_sums_over_taps(shape):
+    """Its value, and its derivatives: each of two kernels with maps of its own. Small grids have a way of their own."""
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(2, *shape, 6))
+    kernel, weight = rng.normal(size=(2, 3, 3, 6, 7)), rng.normal(size=(2, *shape, 7))
+    module = compact_unet.Convolution(6, 7, rngs=nnx.Rngs(0))
+    module.bias[...] = jnp.arange(7.0)
+
+    def weighted(features, kernel, weight):
+        answer = nnx.merge(nnx.graphdef(module), nnx.State({"kernel": kernel, "bias": module.bias}))(features)
+        return jnp.sum(answer * weight), answer
+
+    given = (jnp.asarray(array, jnp.float32) for array in (features, kernel, weight))
+    slopes, answer = jax.jit(jax.vmap(jax.grad(weighted, argnums=(0, 1), has_aux=True)))(*given)
+    framed, slope = (np.pad(array, ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0))) for array in (features, 0 * features))
+    expected, of_kernel = np.zeros(weight.shape) + np.arange(7), np.zeros(kernel.shape)
+    for row, column in np.ndindex(3, 3):
+        at = np.s_[:, :, row : row + shape[1], column : column + shape[2]]
+        expected += np.einsum("nbhwc,ncd->nbhwd", framed[at], kernel[:, row, column])
+        slope[at] += np.einsum("nbhwd,ncd->nbhwc", weight, kernel[:, row, column])
+        of_kernel[:, row, column] = np.einsum("nbhwc,nbhwd->ncd", framed[at], weight)
+    for found, wanted in ((answer, expected), (slopes[0], slope[:, :, 1:-1, 1:-1]), (slopes[1], of_kernel)):
+        np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(
     "architecture",
     [
         Architecture(),

@@ -3,10 +3,12 @@
 import dataclasses
 import functools
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float, Int, Shaped, UInt8
 
@@ -21,6 +23,12 @@ COMPACT_UNET = "compact_unet"
 
 #: Largest number of channels.
 _WIDEST = 4096
+
+#: Points of interpolation for `_minimal_filtering`; a grid of n cells a side uses the first n + 1. Others round worse.
+_POINTS = (0.0, 1.0, -1.0, 2.0, -0.5, -2.0)
+
+#: Longest side of a grid, and smallest number of maps, for which minimal filtering is faster on a CPU.
+_SMALL_SIDE, _SEVERAL_MAPS = len(_POINTS) - 1, 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +126,41 @@ def reduced(size: Size, factor: int) -> Size:
     return None if size is None else (-(-size[0] // factor), -(-size[1] // factor))
 
 
+@functools.cache
+def _filter_matrices(side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Matrices `into`, `of_taps` and `out` by which three taps filter `side` cells with zeros on both sides.
+
+    The filtered cells are `out @ ((into @ cells) * (of_taps @ taps))`, with `side + 2` products instead of `3 * side`.
+    """
+
+    def values(coefficients: int) -> np.ndarray:
+        """Matrix from a polynomial's coefficients to its values at the points and its leading coefficient."""
+        return np.vstack([np.vander(_POINTS[: side + 1], coefficients, increasing=True), np.eye(coefficients)[-1:]])
+
+    return np.linalg.inv(values(side + 2)).T[:, 1:-1].round(12), values(3), values(side).T
+
+
+def _both_axes(rows: np.ndarray, columns: np.ndarray, grid: Float[Array, "h w ..."]) -> Float[Array, "h2 w2 ..."]:
+    """`rows @ grid @ columns.T`, added term by term: products of matrices as small as these are slow."""
+
+    def weighted(weights: np.ndarray, lines: Sequence[Array]) -> Array:
+        terms = [np.float32(weight) * line for weight, line in zip(weights, lines, strict=True) if weight]
+        return functools.reduce(jnp.add, terms)
+
+    for axis, matrix in enumerate((rows, columns)):
+        lines = jax.lax.split(grid, [1] * grid.shape[axis], axis)
+        grid = jnp.concatenate([weighted(weights, lines) for weights in matrix], axis)
+    return grid
+
+
+def _minimal_filtering(features: Float[Array, "b h w c"], kernel: Float[Array, "3 3 c d"]) -> Float[Array, "b h w d"]:
+    """A 3x3 convolution by Winograd's minimal filtering (Lavin and Gray, CVPR 2016)."""
+    matrices = zip(*map(_filter_matrices, features.shape[1:3]), strict=True)
+    into, of_taps, out = (functools.partial(apart, functools.partial(_both_axes, *pair)) for pair in matrices)
+    products = jnp.einsum("ijbc,ijcd->ijbd", into(jnp.moveaxis(features, 0, 2)), of_taps(kernel))
+    return jnp.moveaxis(out(products), 2, 0)
+
+
 class Convolution(nnx.Conv):
     """A 3x3 convolution that sees zeros beyond the map's edge, also where the grid is larger than the map."""
 
@@ -127,8 +170,21 @@ class Convolution(nnx.Conv):
 
     def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
         """Convolved features; undefined beyond the map, whose size is in cells of the features."""
-        if size is None:
-            return super().__call__(features)
+        stride, shape = self.stride, features.shape[1:3]
+        kernel, bias = jnp.asarray(self.kernel[...]), self.bias[...]  # type: ignore[index]
+        convolution: Any = functools.partial(
+            jax.lax.conv_general_dilated, window_strides=(stride, stride), padding="SAME" if size is None else "VALID",
+            dimension_numbers=("NHWC", "HWIO", "NHWC"),
+        )  # fmt: skip
+        if size is not None:
+            features = self._framed(features, size)
+        elif stride == 1 and max(shape) <= _SMALL_SIDE and len(features) >= _SEVERAL_MAPS:
+            convolution = functools.partial(jax.lax.platform_dependent, cpu=_minimal_filtering, default=convolution)
+        return convolution(features, kernel) + bias
+
+    def _framed(self, features: Float[Array, "b h w c"], size: Size) -> Float[Array, "b h2 w2 c"]:
+        """The features of a map of this size with the zeros around them that a convolution sees."""
+        assert size is not None
         stride, shape = self.stride, features.shape[1:3]
         inside, first, sides = jnp.ones(shape, bool), [], []
         for axis, (side, map_side) in enumerate(zip(shape, size, strict=True)):
@@ -138,10 +194,7 @@ class Convolution(nnx.Conv):
             sides.append(stride * (-(-side // stride) - 1) + 3)
         features = jnp.where(inside[None, :, :, None], features, 0)
         framed = jnp.pad(features, ((0, 0), (1, stride), (1, stride), (0, 0)))
-        framed = jax.lax.dynamic_slice(framed, (0, *first, 0), (len(features), *sides, features.shape[3]))
-        axes = ("NHWC", "HWIO", "NHWC")
-        kernel, bias = self.kernel[...], self.bias[...]  # type: ignore[index]
-        return jax.lax.conv_general_dilated(framed, kernel, (stride, stride), "VALID", dimension_numbers=axes) + bias
+        return jax.lax.dynamic_slice(framed, (0, *first, 0), (len(features), *sides, features.shape[3]))
 
 
 class Residual(nnx.Module):
