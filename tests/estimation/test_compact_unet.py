@@ -22,6 +22,7 @@ from dc2g_jax._src.planning.planners import summarized
 from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
 from dc2g_jax._src.runtime.errors import InputError
 from tests.support import maps
+from tests.support.networks import random_network
 from tests.support.refusals import refusal
 
 SMALL = Architecture(widths=(4, 4, 6), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0, patch=3, embedding=5)
@@ -42,9 +43,11 @@ def test_maps_of_any_size(weights, shape):
     assert np.isfinite(estimate).all()
 
 
-def test_maps_of_a_batch_do_not_touch_each_other(weights):
-    terrain = np.stack([maps.random_terrain(seed, (20, 20), 0.7) for seed in range(3)])
+def test_maps_of_a_batch_do_not_touch_each_other():
+    weights = random_network(SMALL).weights
+    terrain = np.stack([maps.random_terrain(seed, (20, 20), 0.7) for seed in range(5)])
     together = np.asarray(apply(weights, terrain))
+    np.testing.assert_array_equal(apply(weights, terrain[:4]), together[:4])
     for one, alone in zip(together, terrain, strict=True):
         np.testing.assert_allclose(apply(weights, alone[None])[0], one, rtol=1e-4, atol=1e-4)
 
@@ -176,24 +179,25 @@ def test_the_first_layer_is_the_product_with_one_hot_classes(side):
     np.testing.assert_allclose(both[1], expected, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [(8, 5, 5), (9, 3, 3), (8, 1, 2), (8, 4, 5), (8, 2, 3), (7, 3, 3), (8, 5, 6)],
-    ids="{0[0]}x{0[1]}x{0[2]}".format,
-)
+@pytest.mark.parametrize("shape", [(4, 5, 5), (9, 3, 3), (4, 1, 1), (5, 1, 2), (8, 4, 5), (3, 3, 3), (8, 5, 6)])
 def test_a_convolution_sums_over_taps(shape):
-    """Its value, and its derivatives: each of two kernels with maps of its own. Small grids have a way of their own."""
+    """Its value, and its derivatives: each of two kernels with maps of its own."""
     rng = np.random.default_rng(0)
     features = rng.normal(size=(2, *shape, 6))
     kernel, weight = rng.normal(size=(2, 3, 3, 6, 7)), rng.normal(size=(2, *shape, 7))
     module = compact_unet.Convolution(6, 7, rngs=nnx.Rngs(0))
     module.bias[...] = jnp.arange(7.0)
 
+    def convolved(features, kernel):
+        return nnx.merge(nnx.graphdef(module), nnx.State({"kernel": kernel, "bias": module.bias}))(features)
+
     def weighted(features, kernel, weight):
-        answer = nnx.merge(nnx.graphdef(module), nnx.State({"kernel": kernel, "bias": module.bias}))(features)
+        answer = convolved(features, kernel)
         return jnp.sum(answer * weight), answer
 
-    given = (jnp.asarray(array, jnp.float32) for array in (features, kernel, weight))
+    small = shape[0] > 3 and max(shape[1:]) < 6
+    given = [jnp.asarray(array, jnp.float32) for array in (features, kernel, weight)]
+    assert ("minimal_filtering" in str(jax.make_jaxpr(convolved)(given[0][0], given[1][0]))) == small
     slopes, answer = jax.jit(jax.vmap(jax.grad(weighted, argnums=(0, 1), has_aux=True)))(*given)
     framed, slope = (np.pad(array, ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0))) for array in (features, 0 * features))
     expected, of_kernel = np.zeros(weight.shape) + np.arange(7), np.zeros(kernel.shape)

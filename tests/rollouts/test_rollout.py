@@ -9,8 +9,7 @@ import pytest
 from flax import struct
 from jax import Array
 
-from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid.poses import LEFT_ACTION, every_heading, make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import World
@@ -26,6 +25,7 @@ from dc2g_jax._src.runtime import devices
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds
+from tests.support.networks import random_network
 from tests.support.refusals import refusal
 
 RULES = complete_rules(3)
@@ -177,8 +177,7 @@ def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):
 
 
 def network_planner(seed: int) -> DC2G:
-    architecture = Architecture(widths=(4,) * len(Architecture().widths))
-    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
+    network = random_network(Architecture(widths=(4,) * len(Architecture().widths)), seed)
     return DC2G(network, RULES, QuantileCost(0.7, 0.5))
 
 

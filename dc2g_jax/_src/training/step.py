@@ -123,7 +123,8 @@ def learn(
             kept = jnp.minimum(training.average_decay, (1.0 + state.step) / (10.0 + state.step))  # smaller early on
             average = jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
         new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer)
-        loss = jnp.where(jnp.isfinite(optax.global_norm(weights)), loss, jnp.nan)
+        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
+        loss = jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
         after = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
         return after.replace(step=new.step), loss
 
