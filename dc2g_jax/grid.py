@@ -53,7 +53,7 @@ from dc2g_jax._src.grid.sensing import (
     expanding_kernel as expanding_kernel,
     field_of_view as field_of_view,
 )
-from dc2g_jax._src.grid.shifting import shifted as shifted
+from dc2g_jax._src.grid.squares import shifted as shifted
 from dc2g_jax._src.grid.terrain import (
     BUSH as BUSH,
     CAR as CAR,

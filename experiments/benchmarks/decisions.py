@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimator, extent_of
+from dc2g_jax._src.estimation.estimators import Estimator, trait
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.sensing import field_of_view
@@ -67,7 +67,7 @@ def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Ite
 @jit
 def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
     """The mean estimate for a robot in the middle of a map."""
-    pose, extent = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0), extent_of(estimator)
+    pose, extent = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0), trait(estimator, "extent")
     outcomes = estimator.estimate(extent.part(terrain, pose), ())
     return extent.merged(jnp.mean(outcomes, axis=0, keepdims=True), pose, before)
 

@@ -23,7 +23,7 @@ from dc2g_jax._src.estimation.weights import read_safetensors
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.files.reading import read_object
-from dc2g_jax._src.grid.shifting import shifted
+from dc2g_jax._src.grid.squares import shifted
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import jit

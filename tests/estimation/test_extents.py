@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.estimation.estimators import WHOLE_MAP, extent_of
+from dc2g_jax._src.estimation.estimators import WHOLE_MAP, trait
 from dc2g_jax._src.estimation.extents import TownWindow
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
@@ -140,9 +140,9 @@ def test_in_towns_a_window_within_the_map_is_magnified_to_its_size():
 
 
 def test_an_estimator_without_an_extent_is_asked_about_the_whole_map():
-    assert extent_of(Places()) is WHOLE_MAP
-    assert extent_of(CroppedEstimator(Places())) is WHOLE_MAP
-    assert extent_of(WindowedEstimator(Places(), Window(7))) == Window(7)
+    assert trait(Places(), "extent") is WHOLE_MAP
+    assert trait(CroppedEstimator(Places()), "extent") is WHOLE_MAP
+    assert trait(WindowedEstimator(Places(), Window(7)), "extent") == Window(7)
 
 
 def test_a_planner_keeps_what_has_left_the_window(street):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore, weights_of
@@ -17,7 +18,6 @@ from dc2g_jax._src.planning.named import (
     PLANNERS,
     check_names,
     make_planner,
-    open_estimator,
     planner_with,
 )
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle
@@ -59,9 +59,9 @@ def test_a_planner_shows_itself_without_private_modules(name):
 
 def test_planners_on_a_network_go_by_the_score_that_was_learned_with_it():
     learned = {"90": {term: np.float32(number) for number, term in enumerate(TERMS)}}
-    network = dataclasses.replace(open_estimator(None), score=learned)
+    network = dataclasses.replace(load_network(None), score=learned)
     terrain = jnp.asarray(maps.random_terrain(0, (50, 50), 0.7, doors=1))
-    for estimator, score in ((network, learned), (ExactCostToGo(), open_estimator(None).score)):
+    for estimator, score in ((network, learned), (ExactCostToGo(), load_network(None).score)):
         dc2g, uncertain, bounded = (
             NETWORK_PLANNERS[name](estimator, RULES) for name in ("dc2g", "dc2g_uncertain", "dc2g_bounded")
         )
@@ -76,7 +76,7 @@ def test_planners_on_a_network_go_by_the_score_that_was_learned_with_it():
 
 
 def test_planners_that_differ_in_the_summary_of_a_network_share_a_program():
-    dc2g, uncertain = (planner_with(name, RULES, open_estimator(None)) for name in ("dc2g", "dc2g_uncertain"))
+    dc2g, uncertain = (planner_with(name, RULES, load_network(None)) for name in ("dc2g", "dc2g_uncertain"))
     assert jax.tree.structure(dc2g) == jax.tree.structure(uncertain)
 
 
@@ -98,7 +98,7 @@ def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
 
 def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
-    network = open_estimator(None)
+    network = load_network(None)
     for wrapped in (CroppedEstimator, WindowedEstimator):
         assert planner_with("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
         assert isinstance(planner_with("dc2g", RULES, wrapped(network)), LearnedScore)

@@ -479,7 +479,7 @@ def test_planners_that_wrap_others_go_on_or_start_anew():
         planner, counts = OnlinePlanner(Bounded(wrapped, rules, 2.0, 3.0), sensing_range=SENSING, largest=SHAPE), []
         for grid in (road, road, changed):
             planner.plan(grid, (3, 3, 0))
-            counts.append(int(planner._memory.state.bound.taken))
+            counts.append(int(planner._memory.state.taken))
         assert counts == taken
 
 

@@ -238,7 +238,7 @@ def test_several_networks_are_run_side_by_side(dataset, compact_network, tmp_pat
 
 
 def test_networks_are_called_by_the_end_of_their_place(monkeypatch):
-    monkeypatch.setattr(evaluation, "open_estimator", lambda place: place)
+    monkeypatch.setattr(evaluation, "load_network", lambda place: place)
     assert list(open_networks(["runs/a", "hf://me/b", "my:C"])) == ["a", "b", "my:C"]
     assert list(open_networks(["one/network", "two/network"])) == ["one/network", "two/network"]
     assert open_networks(["runs/a"]) == open_networks("runs/a") == "runs/a"

@@ -9,9 +9,10 @@ import pytest
 
 from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED
 from dc2g_jax._src.planning.learned_score import TERMS, LearnedScore
-from dc2g_jax._src.planning.named import open_estimator, planner_with
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.training.score import START, ScoreConfig, Tried, fitted, searches_in, try_candidates, values
@@ -111,7 +112,7 @@ SMALL = ScoreConfig(rounds=1, maps=8, houses=4, starts=2, sides=(40,), field_of_
 def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
     out = tmp_path / "out"
     trained = train(out, "procedural", config=SMALL, split=None)
-    assert trained.network.score.keys() == open_estimator(None).score.keys() | {"120"}
+    assert trained.network.score.keys() == load_network(None).score.keys() | {"120"}
     learned = trained.network.score["120"]
     assert {*learned} == {*TERMS}
     assert "on fresh maps" in capsys.readouterr().out

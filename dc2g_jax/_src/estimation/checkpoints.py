@@ -71,14 +71,6 @@ def _like(default: Any, value: Any) -> Any:
     return whole_number(value) if isinstance(default, int) else number(value) if isinstance(default, float) else value
 
 
-def _orbax() -> Any:
-    """Import Orbax, which takes a second and is only needed for training states."""
-    require_extra("orbax")
-    import orbax.checkpoint
-
-    return orbax.checkpoint
-
-
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Silence Orbax's progress reports, which go to absl's logger."""
@@ -280,7 +272,10 @@ class TrainingCheckpoints:
         *,
         first_state: Callable[[Any], Any],
     ):
-        self._first_state, self._orbax = functools.partial(first_state, config), _orbax()
+        require_extra("orbax")
+        import orbax.checkpoint  # takes a second
+
+        self._first_state, self._orbax = functools.partial(first_state, config), orbax.checkpoint
         folder = Path(folder).absolute()
         keep_config(folder, config, facts)
         self._folder = folder / _STATES

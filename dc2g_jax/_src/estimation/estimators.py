@@ -94,11 +94,6 @@ def trait(estimator: Estimator | None, name: str) -> Any:
     return getattr(estimator, name, getattr(Estimator, name))
 
 
-def extent_of(estimator: Estimator) -> Extent:
-    """The `extent` of an estimator."""
-    return trait(estimator, "extent")
-
-
 def answers_in_cells(estimator: Estimator | None) -> bool:
     """Whether an estimator's costs are `in_cells`."""
     return trait(estimator, "in_cells")

@@ -57,17 +57,19 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def load_network(place: str | os.PathLike[str] | None = None) -> Estimator:
+def load_network(place: Estimator | str | os.PathLike[str] | None = None) -> Estimator:
     """Load a planner's network of any kind, or an estimator of the user's own.
 
     Args:
       place: see `local_folder`; `package.module:Name` for an estimator, or a class or function that is called without
-        arguments to make one; `None` for the shipped network.
+        arguments to make one; `None` for the shipped network. An estimator is returned as it is.
 
     Raises:
       InputError: there is no estimator of that name; see also `local_folder` and
         `estimation.checkpoints.network_in_folder`, which checks the SHA-256 of the weights.
     """
+    if place is not None and not isinstance(place, str | os.PathLike):
+        return place
     if not is_own_part(place):
         return network_in_folder(None if place is None else local_folder(place))
     found = own_part("estimator", str(place), ())

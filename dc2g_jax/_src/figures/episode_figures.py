@@ -12,7 +12,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_hex
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -29,7 +29,6 @@ from dc2g_jax._src.figures.costs import (
 from dc2g_jax._src.figures.replay import Frames, actions_from_letters, running_extra_steps
 from dc2g_jax._src.figures.results_figures import (
     class_patch,
-    hidden_color,
     legend_patch,
     map_image,
     planner_style,
@@ -82,7 +81,8 @@ def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: str) -> list[Any]:
 def legend_entries(terrain: UInt8[np.ndarray, "h w"], *, costs: bool, view: bool = False) -> list[Any]:
     """Entries of the legend of maps that are seen in part, of costs, and of the field of view."""
     entries = _entries(terrain, *_MARKS)
-    entries.append(legend_patch("not seen yet", hidden_color(present_classes(terrain)[0])))
+    hidden = map_image(np.full((1, 1), present_classes(terrain)[0], np.uint8), np.zeros((1, 1), bool))[0, 0]
+    entries.append(legend_patch("not seen yet", to_hex(hidden)))
     if costs:
         entries.append(legend_patch("not traversable", BLOCKED_COLOR))
     if view:

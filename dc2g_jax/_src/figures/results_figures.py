@@ -197,12 +197,6 @@ def class_patch(index: int, color: ColorType | None = None) -> Patch:
     return legend_patch(label, FIGURE_COLORS[CLASS_NAMES[index]] if color is None else color)
 
 
-def hidden_color(index: int) -> tuple[float, float, float]:
-    """The color of a class where it has not been observed, RGB from 0 to 1."""
-    red, green, blue = map_image(np.full((1, 1), index, np.uint8), np.zeros((1, 1), bool))[0, 0].tolist()
-    return red, green, blue
-
-
 def plain_axes(axes: Axes, *, grid: Literal["both", "x", "y"] = "both", label_size: float = 8) -> None:
     """Draw a grid behind the data, and no frame above and on the right."""
     axes.grid(True, axis=grid, color="#dddddd", linewidth=0.6)

@@ -17,7 +17,7 @@ from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.loops import for_each_until, repeated, until
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, only
-from dc2g_jax._src.grid.shifting import shifted
+from dc2g_jax._src.grid.squares import shifted
 
 #: Integer costs of a straight and of a diagonal step. Their quotient is sqrt 2 to nine digits and they have no common
 #: divisor, so that sums order paths by their cost and tell the number of steps of each kind.

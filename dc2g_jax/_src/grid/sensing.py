@@ -8,7 +8,7 @@ through an adjacent cell nearer to the robot, which is its parent. Batch axes co
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -45,18 +45,6 @@ def check_degrees(name: str, value: Any) -> None:
       InputError: it is not a number from 1 to 360.
     """
     check_number(name, value, least=1, most=ALL_AROUND, hint="degrees")
-
-
-class FieldOfView(Protocol):
-    """What a robot sees: a `Kernel`, or anything with these two methods."""
-
-    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
-        """The cells in view."""
-        ...
-
-    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
-        """The poses with a target in view."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)

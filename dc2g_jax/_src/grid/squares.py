@@ -1,4 +1,4 @@
-"""Values at single cells, and counts of cells in rectangles."""
+"""Values at single cells, counts of cells in rectangles, and shifted grids."""
 
 import jax
 import jax.numpy as jnp
@@ -52,3 +52,11 @@ def in_rectangle(
     top, bottom = jnp.clip(top, 0, height), jnp.clip(bottom, 0, height)
     below, above = (at_cells(sums, right, row) - at_cells(sums, left, row) for row in (bottom, top))
     return below - above
+
+
+def shifted(values: Array, dx: int, dy: int, fill: float) -> Array:
+    """Values `[h w *batch]` shifted by `dx` columns and `dy` rows; `fill` in cells without a source."""
+    height, width = values.shape[:2]
+    margins = [(abs(dy), abs(dy)), (abs(dx), abs(dx))] + [(0, 0)] * (values.ndim - 2)
+    padded = jnp.pad(values, margins, constant_values=fill)
+    return padded[abs(dy) - dy : abs(dy) - dy + height, abs(dx) - dx : abs(dx) - dx + width]

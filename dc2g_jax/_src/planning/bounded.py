@@ -60,30 +60,20 @@ class Shadow(NamedTuple):
     steps: Int[Array, "*batch"]
 
 
-class Bound(NamedTuple):
-    """What keeps the bound between steps.
-
-    Attributes:
-      shadow: the virtual robot.
-      taken: number of decisions so far, which are the robot's actions.
-      led: whether the robot returns to the shadow or goes with it.
-    """
-
-    shadow: Shadow
-    taken: Int[Array, "*batch"]
-    led: Bool[Array, "*batch"]
-
-
 class BoundedState(NamedTuple):
     """State of `Bounded` between steps.
 
     Attributes:
       planner: state of the wrapped planner.
-      bound: what keeps the bound.
+      shadow: the virtual robot.
+      taken: number of decisions so far, which are the robot's actions.
+      led: whether the robot returns to the shadow or goes with it.
     """
 
     planner: Any
-    bound: Bound
+    shadow: Shadow
+    taken: Int[Array, "*batch"]
+    led: Bool[Array, "*batch"]
 
 
 #: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
@@ -126,7 +116,7 @@ class Bounded(Planner):
         zero = jnp.zeros(nothing.shape[2:], jnp.int32)
         explores, before = jnp.full_like(zero, EXPLORE), jnp.full_like(zero, -1)
         shadow = Shadow(Pose(zero, zero, zero), nothing, nothing, action=zero, mode=explores, steps=before)
-        return BoundedState(self.planner.init(world), Bound(shadow, taken=zero, led=jnp.zeros_like(zero, bool)))
+        return BoundedState(self.planner.init(world), shadow, taken=zero, led=jnp.zeros_like(zero, bool))
 
     def look(self, belief: Belief, state: BoundedState) -> tuple[Bool[Array, "*batch"], Any]:
         """What the wrapped planner looks at."""
@@ -148,17 +138,17 @@ class Bounded(Planner):
             )
         else:
             assessment, planner_state = assess(self.planner, belief, state.planner, self.rules)
-        plan, bound = self._bounded(belief, assessment.plan, state.bound)
-        return dataclasses.replace(assessment, plan=plan), BoundedState(planner_state, bound)
+        plan, after = self._bounded(belief, assessment.plan, state)
+        return dataclasses.replace(assessment, plan=plan), after._replace(planner=planner_state)
 
     def revised(self, state: BoundedState, changed: Board) -> BoundedState:
         """The state after these cells changed their class: without a bound if there are any.
 
         The robot then follows the wrapped planner alone, since the shadow has not seen the map as it is now.
         """
-        shadow = state.bound.shadow
-        shadow = shadow._replace(mode=jnp.where(bitboard.is_empty(changed), shadow.mode, GAVE_UP))
-        return BoundedState(self.planner.revised(state.planner, changed), state.bound._replace(shadow=shadow))
+        mode = jnp.where(bitboard.is_empty(changed), state.shadow.mode, GAVE_UP)
+        planner_state = self.planner.revised(state.planner, changed)
+        return state._replace(planner=planner_state, shadow=state.shadow._replace(mode=mode))
 
     def _caught_up(self, belief: Belief, shadow: Shadow) -> Shadow:
         """The shadow after its next actions, as far as the robot has seen what it would see."""
@@ -189,9 +179,9 @@ class Bounded(Planner):
         later = Shadow(next_pose, seen, reachable, plan.action, plan.mode, shadow.steps + 1)
         return _chosen(moves, later, shadow), moves
 
-    def _bounded(self, belief: Belief, wrapped: Plan, bound: Bound) -> tuple[Plan, Bound]:
+    def _bounded(self, belief: Belief, wrapped: Plan, state: BoundedState) -> tuple[Plan, BoundedState]:
         """The plan that keeps the bound."""
-        shadow = self._caught_up(belief, bound.shadow)
+        shadow = self._caught_up(belief, state.shadow)
         there = _same(belief.pose, shadow.pose)
         target = _chosen(there, _next_pose(belief, shadow.pose, shadow.action), shadow.pose)
         to_goal = wrapped.mode == TO_GOAL
@@ -199,14 +189,15 @@ class Bounded(Planner):
         subgoals = poses.only(target, *belief.goals.shape[:2]) | every_heading(belief.goals)
         back = plan_to(belief, subgoals, belief.traversable, jnp.where(to_goal, TO_GOAL, EXPLORE))
         slack = self.slack * (belief.height + belief.width)
-        left = self.factor * shadow.steps + slack - bound.taken - jnp.where(there, 0, back.length)
+        left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
-        led = ~affordable | (bound.led & (left < _RENEWED * slack))
+        led = ~affordable | (state.led & (left < _RENEWED * slack))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
         without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP)
-        return _chosen(free | without_bound, wrapped, back), Bound(shadow, bound.taken + 1, led)
+        after = state._replace(shadow=shadow, taken=state.taken + 1, led=led)
+        return _chosen(free | without_bound, wrapped, back), after
 
 
 def _same(a: Pose, b: Pose) -> Bool[Array, "*batch"]:

@@ -128,9 +128,7 @@ class ChoosingPlanner(Planner):
         """Whether a choice is due; and what it is made from: reachable cells and candidates."""
         reachable = reachable_cells(belief, state.reachable)
         candidates = exploring_poses(belief, reachable, self.rules)
-        due = choice_is_due(
-            belief, reachable, candidates, state.subgoals, state.chosen_from, self.rules, self.replan_fraction
-        )
+        due = choice_is_due(belief, reachable, candidates, state, self.rules, self.replan_fraction)
         return due, (due, reachable, candidates)
 
     def ask(self, belief: Belief, state: Chosen) -> Chosen:

@@ -3,11 +3,13 @@
 There are two definitions: that of the paper's text (`complete`) and that of the authors' published code (`reference`).
 """
 
+from typing import Any
+
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import PoseSet, only
-from dc2g_jax._src.grid.sensing import FieldOfView, Kernel
+from dc2g_jax._src.grid.sensing import Kernel
 
 
 def unseen(belief: Belief) -> Board:
@@ -26,7 +28,7 @@ def frontier_cells(belief: Belief, reachable: Board) -> Board:
     return reachable & bitboard.neighbors(unseen(belief))
 
 
-def complete(belief: Belief, reachable: Board, sensing: FieldOfView) -> PoseSet:
+def complete(belief: Belief, reachable: Board, sensing: Any) -> PoseSet:
     """Reachable poses, not the current one, that see an unobserved 4-neighbor of a frontier cell.
 
     Every such pose reveals something when it is reached, so exploration ends. If the set is empty, the goal is
@@ -35,7 +37,7 @@ def complete(belief: Belief, reachable: Board, sensing: FieldOfView) -> PoseSet:
     Args:
       belief: belief of the robot.
       reachable: observed traversable cells connected to the robot.
-      sensing: the robot's field of view.
+      sensing: the robot's field of view: a `Kernel`, or anything with `poses_that_see`.
     """
     targets = unseen(belief) & bitboard.neighbors(frontier_cells(belief, reachable))
     return _reachable_but_here(sensing.poses_that_see(targets, belief.opaque), belief, reachable)

@@ -161,12 +161,6 @@ def _area_terms(
     return jnp.stack([*shares, free_ahead, at_frontier / (2 * _FRONTIER[1] + 1), straight, actions / (cells + 4)])
 
 
-def has_classes(belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
-    """Whether any of these observed cells can be read by a network, see `estimation.estimators.PLAIN_CLASSES`."""
-    plain = functools.reduce(jnp.bitwise_or, map(belief.of_class, PLAIN_CLASSES))
-    return ~bitboard.is_empty(cells & ~plain)
-
-
 def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = None) -> Float[Array, "term"]:
     """The weights of `TERMS` for the field of view nearest in width, by ratio; the narrower of two equally near ones.
 
@@ -264,9 +258,7 @@ class LearnedScore(Planner):
         """Whether the estimator is asked; whether a choice is due, reachable cells, and poses that reveal something."""
         reachable = reachable_cells(belief, state.reachable)
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
-        due = choice_is_due(
-            belief, reachable, revealing, state.subgoals, state.chosen_from, self.rules, self.replan_fraction
-        )
+        due = choice_is_due(belief, reachable, revealing, state, self.rules, self.replan_fraction)
         return due & self._readable(belief, belief.seen), (due, reachable, revealing)
 
     def _readable(self, belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
@@ -274,7 +266,8 @@ class LearnedScore(Planner):
         if self.estimator is None:
             return jnp.zeros(belief.pose.x.shape, bool)
         every = jnp.bool_(not trait(self.estimator, "needs_classes"))
-        return has_classes(belief, cells) | every
+        plain = functools.reduce(jnp.bitwise_or, map(belief.of_class, PLAIN_CLASSES))
+        return ~bitboard.is_empty(cells & ~plain) | every
 
     def ask(self, belief: Belief, state: ScoredChoice) -> Estimates:
         """The estimator's answer to the map or its mirror image, in turn."""

@@ -10,6 +10,7 @@ from typing import Any
 from jaxtyping import Array
 
 from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells, trait
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.planning.bounded import Bounded
 from dc2g_jax._src.planning.learned_score import LearnedScore, weights_of
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, Planner, PlannerLike, with_summary
@@ -23,7 +24,7 @@ from dc2g_jax._src.runtime.plugins import plugins
 @functools.cache
 def _shipped_score() -> Mapping[str, Mapping[str, Any]]:
     """The weights of the score that were learned with the shipped network."""
-    return open_estimator(None).score  # type: ignore[return-value]
+    return load_network(None).score  # type: ignore[return-value]
 
 
 def _on_network(summary: Callable[[Array], Array], estimator: Estimator, rules: Rules) -> LearnedScore | DC2G:
@@ -107,7 +108,7 @@ def make_planner(
         the network cannot be read.
     """
     rules = named_settings(settings, field_of_view).rules(sensing_range)
-    return planner_with(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
+    return planner_with(name, rules, load_network(network) if name in NETWORK_PLANNERS else None)
 
 
 def planner_with(name: str, rules: Rules, estimator: Estimator | None = None) -> PlannerLike:
@@ -146,17 +147,3 @@ def check_names(names: Iterable[str]) -> None:
     for name in names:
         if name not in PLANNERS:
             own_part("planner", name, PLANNERS)
-
-
-def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estimator:
-    """Load the network in a place, or the shipped one for `None`. Estimators are returned as they are.
-
-    Raises:
-      InputError: the network cannot be read.
-    """
-    if network is not None and not isinstance(network, str | os.PathLike):
-        return network
-    # Orbax takes a second to import and is only needed for files.
-    from dc2g_jax._src.estimation.hub import load_network
-
-    return load_network(network)

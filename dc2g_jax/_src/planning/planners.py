@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimates, Estimator, extent_of, trait, update_where
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, trait, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
 from dc2g_jax._src.grid.bitboard import Board
 from dc2g_jax._src.grid.gridworld import Belief, check_axes, check_poses
@@ -335,13 +335,7 @@ def preferred_poses(belief: Belief, reachable: Board, revealing: PoseSet, rules:
 
 
 def choice_is_due(
-    belief: Belief,
-    reachable: Board,
-    revealing: PoseSet,
-    subgoals: PoseSet,
-    chosen_from: Board,
-    rules: Rules,
-    replan_fraction: float,
+    belief: Belief, reachable: Board, revealing: PoseSet, state: Any, rules: Rules, replan_fraction: float
 ) -> Bool[Array, "*batch"]:
     """Whether a robot that explores needs another subgoal: its own reveal nothing more, or it has seen enough since.
 
@@ -349,15 +343,14 @@ def choice_is_due(
       belief: belief of the robot.
       reachable: reachable cells.
       revealing: poses that reveal something when reached.
-      subgoals: the poses chosen last.
-      chosen_from: cells that had been observed then.
+      state: `subgoals`, the poses chosen last, and `chosen_from`, the cells that had been observed then.
       rules: field of view.
       replan_fraction: share of the cells in the field of view that must be newly seen; at least one cell must.
     """
     undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
-    news = bitboard.count(belief.seen ^ chosen_from)
+    news = bitboard.count(belief.seen ^ state.chosen_from)
     enough = max(1.0, replan_fraction * len(rules.sensing.offsets[0]))
-    return undecided & ((news >= enough) | poses.is_empty(subgoals & revealing))
+    return undecided & ((news >= enough) | poses.is_empty(state.subgoals & revealing))
 
 
 def without_choice(state: Any, changed: Board) -> Any:
@@ -440,7 +433,7 @@ class DC2G(Planner):
         told = jax.eval_shape(
             functools.partial(summarized, self.estimator, self.selection.summary), world.terrain, state
         )
-        prior = extent_of(self.estimator).prior
+        prior = trait(self.estimator, "extent").prior
         return Choice(nothing, jnp.full(told.shape, prior, jnp.float32), nothing, every_heading(nothing), state)
 
     def _scored(
@@ -456,18 +449,18 @@ class DC2G(Planner):
         """Whether another choice of the subgoal is due; reachable cells, and poses that reveal something."""
         reachable = reachable_cells(belief, state.reachable)
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
-        due = choice_is_due(belief, reachable, revealing, state.subgoals, state.chosen_from, self.rules, 0.0)
+        due = choice_is_due(belief, reachable, revealing, state, self.rules, 0.0)
         return due, (due, reachable, revealing)
 
     def ask(self, belief: Belief, state: "Choice") -> Estimates:
         """The selection rule's summary of an estimate."""
-        part = extent_of(self.estimator).part(observed_terrain(belief), belief.pose)
+        part = trait(self.estimator, "extent").part(observed_terrain(belief), belief.pose)
         return summarized(self.estimator, self.selection.summary, part, state.estimator)
 
     def _choose(self, inputs: tuple[Belief, Board, PoseSet], before: "Choice", ask: Ask) -> "Choice":
         """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
         belief, reachable, revealing = inputs
-        estimate = extent_of(self.estimator).merged(ask(belief, before), belief.pose, before.estimate)
+        estimate = trait(self.estimator, "extent").merged(ask(belief, before), belief.pose, before.estimate)
         candidates, score = self._scored(belief, reachable, revealing, estimate)
         return before._replace(
             estimate=estimate, chosen_from=belief.seen, subgoals=_lowest(score, candidates, belief.width)

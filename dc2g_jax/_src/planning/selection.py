@@ -9,6 +9,23 @@ from jaxtyping import Array, Float, Int
 _Summary = TypeVar("_Summary", bound=Callable[..., Any])
 
 
+def linear(summary: _Summary) -> _Summary:
+    """Mark a `Selection.summary` that is a weighted sum of the outcomes, with the same weights for every cell.
+
+    A network then computes the sum in its last layer, which is faster.
+    """
+    summary.linear = True  # type: ignore[attr-defined]
+    return summary
+
+
+def mean_of(values: Sequence[Array] | Array) -> Array:
+    """The mean of arrays of one shape, or along the first axis.
+
+    Added one by one: XLA has no code for a sum of floats along an axis within an operation.
+    """
+    return sum(values[1:], values[0]) / len(values)
+
+
 class Selection:
     """Scores subgoals; the lowest score wins. Hashable, so that it can be a static argument of `jit`.
 
@@ -19,13 +36,14 @@ class Selection:
 
     distance_weight: float
 
+    @linear
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
-        """The part of an estimate that scores need, for any pose of the robot. The planner stores it.
+        """The part of an estimate that scores need, for any pose of the robot: the mean. The planner stores it.
 
         Args:
           costs: equally likely costs-to-go of every cell, in ascending order.
         """
-        raise NotImplementedError
+        return mean_outcome(costs)
 
     def __call__(
         self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
@@ -37,23 +55,6 @@ class Selection:
           distance: actions from the robot to every cell; arbitrary if `distance_weight` is 0.
         """
         return summary[0] + self.distance_weight * distance
-
-
-def mean_of(values: Sequence[Array] | Array) -> Array:
-    """The mean of arrays of one shape, or along the first axis.
-
-    Added one by one: XLA has no code for a sum of floats along an axis within an operation.
-    """
-    return sum(values[1:], values[0]) / len(values)
-
-
-def linear(summary: _Summary) -> _Summary:
-    """Mark a `Selection.summary` that is a weighted sum of the outcomes, with the same weights for every cell.
-
-    A network then computes the sum in its last layer, which is faster.
-    """
-    summary.linear = True  # type: ignore[attr-defined]
-    return summary
 
 
 @linear
@@ -75,11 +76,6 @@ class ExpectedCost(Selection):
     """
 
     distance_weight: float
-
-    @linear
-    def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
-        """The mean."""
-        return mean_of(costs)[None]
 
 
 @dataclasses.dataclass(frozen=True)

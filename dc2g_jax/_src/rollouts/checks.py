@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from dc2g_jax._src.estimation.estimators import Estimator, extent_of
+from dc2g_jax._src.estimation.estimators import Estimator, trait
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
 from dc2g_jax._src.grid.ground import connected_to_goal
@@ -326,7 +326,7 @@ def check_estimator(estimator: Estimator) -> None:
     equal = functools.partial(np.allclose, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
     first_views = gridworld.reset(worlds, starts, field_of_view(_SENSING_RANGE))
     for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, starts))):
-        terrain = extent_of(estimator).part(belief.terrain, belief.pose)
+        terrain = trait(estimator, "extent").part(belief.terrain, belief.pose)
         for of, part, kept in (("one map", _one(terrain, 0), states[0]), (f"{count} maps", terrain, states[1])):
             answer = _traced(who, "estimate", of, estimator, part, kept)
             if not jnp.issubdtype(answer.dtype, jnp.floating) or answer.shape[1:] != part.shape or not answer.shape[0]:
@@ -353,7 +353,7 @@ def _check_numbers(who: str, view: str, estimator: Estimator, costs: np.ndarray,
     terrain = np.asarray(belief.terrain)
     leads = np.stack([connected_to_goal(whole) for whole in np.moveaxis(np.asarray(worlds.terrain), -1, 0)], axis=-1)
     on_ground = jnp.asarray(np.where(leads, terrain, np.uint8(UNKNOWN)))
-    needed = np.asarray(extent_of(estimator).part(on_ground, belief.pose)) != UNKNOWN
+    needed = np.asarray(trait(estimator, "extent").part(on_ground, belief.pose)) != UNKNOWN
     wrong = np.isnan(costs) | (np.isinf(costs) & needed)
     if wrong.any():
         outcome, y, x, episode = np.argwhere(wrong)[0]

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimator, extent_of
+from dc2g_jax._src.estimation.estimators import Estimator, trait
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
@@ -22,7 +23,7 @@ from dc2g_jax._src.grid.poses import Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
+from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, planner_with
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Oracle, PlannerLike, sensing_of
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset, stack_worlds
@@ -78,7 +79,7 @@ def _estimates_nan(
         return gridworld.step(world, belief, action, sensing), None
 
     belief, _ = jax.lax.scan(act, gridworld.reset(world, start, sensing), actions)
-    part = extent_of(estimator).part(belief.terrain, belief.pose)
+    part = trait(estimator, "extent").part(belief.terrain, belief.pose)
     return bool(jnp.any(jnp.isnan(estimator.estimate(part, estimator.init(world)))))
 
 
@@ -262,13 +263,13 @@ def open_networks(
     """
     if isinstance(networks, Sequence) and not isinstance(networks, str):
         if len(networks) == 1:
-            return open_estimator(networks[0])
+            return load_network(networks[0])
         networks = _labels(networks)
     if not isinstance(networks, Mapping):
-        return open_estimator(networks)
+        return load_network(networks)
     if not networks:
         raise InputError("network: give one at least, or None for the shipped one")
-    return {label: open_estimator(place) for label, place in networks.items()}
+    return {label: load_network(place) for label, place in networks.items()}
 
 
 def _labels(places: Sequence[str | os.PathLike[str]]) -> dict[str, str | os.PathLike[str]]:

@@ -105,10 +105,6 @@ class Hyperparameters:
     loss_weights: Float[Array, "*runs losses"]
 
 
-#: `(key, data, batch_size=...) ->` training pairs.
-DrawBatch = Callable[..., Pair]
-
-
 def mean_loss(
     recipe: TrainingConfig,
     loss_weights: Float[Array, "losses"],
@@ -144,12 +140,12 @@ class CostToGoTraining(Supervised):
 
     Attributes:
       recipe: static part of the configuration, the same for all runs.
-      draw_batch: draws pairs.
+      draw_batch: draws pairs: `(key, data, batch_size=...) ->` pairs.
       own_losses: names and functions of losses, for those that only this program knows.
     """
 
     recipe: TrainingConfig
-    draw_batch: DrawBatch
+    draw_batch: Callable[..., Pair]
     own_losses: tuple[tuple[str, Loss], ...] = ()
 
     @property

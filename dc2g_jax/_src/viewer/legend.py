@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 from jaxtyping import Bool, Float, UInt8
-from matplotlib.colors import to_rgb
 
 from dc2g_jax._src.figures.costs import map_colors
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_RGB
@@ -69,11 +68,6 @@ _EPISODE_LEGEND = """\
 
 Point at a cell or a dot for its class, cost or score.
 """
-
-
-def rgb(color: str) -> tuple[int, ...]:
-    """A color of figures as RGB from 0 to 255."""
-    return tuple(round(255 * part) for part in to_rgb(color))
 
 
 def terrain_context() -> rr.AnnotationContext:

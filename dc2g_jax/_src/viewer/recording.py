@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
+from PIL import ImageColor
 
 from dc2g_jax._src.figures.costs import exact_cost_to_go, predicts, score_colors
 from dc2g_jax._src.figures.episode_figures import outcome
@@ -268,7 +269,7 @@ def record_episode(
     _send_house(stream, house, exact, scale, about)
     styles = planner_styles(result_by_planner)
     for label, result in result_by_planner.items():
-        _send_episode(stream, label, result, frames_by_planner[label], scale, legend.rgb(styles[label].color))
+        _send_episode(stream, label, result, frames_by_planner[label], scale, ImageColor.getrgb(styles[label].color))
     stream.flush()
     stream.disconnect()
     return path

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.checkpoints import network_in_folder
-from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
+from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, trait
 from dc2g_jax._src.files.rows import read_rows
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.readers.starts import Start
@@ -47,7 +47,8 @@ def test_every_planner_runs_the_same_episodes(street, compact_network, tmp_path,
 def test_each_extent_has_a_name():
     estimators = estimators_by_planner(ExactCostToGo(), (20, 64))
     assert list(estimators) == ["dc2g", "dc2g_crop", "dc2g_window_20", "dc2g_window_64"]
-    assert [extent_of(one) for one in estimators.values()] == [WHOLE_MAP, WHOLE_MAP, Window(20, 20.0), Window(64, 64.0)]
+    extents = [trait(one, "extent") for one in estimators.values()]
+    assert extents == [WHOLE_MAP, WHOLE_MAP, Window(20, 20.0), Window(64, 64.0)]
 
 
 def test_around_an_open_ended_house_nothing_comes_to_light(street):
