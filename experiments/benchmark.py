@@ -17,22 +17,18 @@ from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.runtime.errors import InputError
 
-from .benchmarks import figures, machine, report
+from .benchmarks import machine, report
 from .benchmarks.accelerator import accelerator_rows
 from .benchmarks.bench import Bench
-from .benchmarks.compiling import program_rows
 from .benchmarks.kernels import kernel_rows, network_rows
 from .benchmarks.planners import planner_rows
-from .benchmarks.recording import recording_rows
 from .benchmarks.rows import Row
 from .benchmarks.stepping import environment_rows
-from .benchmarks.sweeps import batch_rows, grid_rows, range_rows
+from .benchmarks.sweeps import batch_rows, grid_rows
 from .benchmarks.training import step_rows, training_rows
 from .benchmarks.workload import make_workload
 
-Section = Literal[
-    "planners", "environment", "kernels", "network", "training", "programs", "recording", "batch", "grid", "range"
-]
+Section = Literal["planners", "environment", "kernels", "network", "training", "batch", "grid"]
 
 _SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
     "planners": planner_rows,
@@ -40,11 +36,8 @@ _SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
     "kernels": kernel_rows,
     "network": network_rows,
     "training": lambda bench: itertools.chain(training_rows(bench), step_rows(bench)),
-    "programs": program_rows,
-    "recording": recording_rows,
     "batch": batch_rows,
     "grid": grid_rows,
-    "range": range_rows,
 }
 
 _ABOUT = (
@@ -61,7 +54,7 @@ _ABOUT = (
 class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
     """Measure planners, environment, kernels, network, training, beside plain C, Numba, NumPy, PyTorch and libraries.
 
-    Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table; the first two after each row.
+    Writes `benchmark.json` and `benchmark.md` after each row, and prints the table.
     Programs that are not installed are left out with the reason; `pip install -e ".[benchmark]" torch` brings them.
 
     Attributes:
@@ -149,8 +142,6 @@ def main(options: Options) -> None:
         print(f"{facts['seconds']:5.0f} s  {row.section}: {report.line_of(row)}", file=sys.stderr, flush=True)
         rows.append(row)
         written = report.write(out, name, facts, peaks, rows)
-    if not options.accelerator:
-        written += figures.plot(out / "benchmark", facts, rows)
     print(report.text(rows))
     print(f"Written: {', '.join(str(path) for path in written)}")
 

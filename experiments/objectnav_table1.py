@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.learning.networks import load_costs
@@ -20,7 +21,6 @@ from experiments.support.searches import (
     CostMapOptions,
     SearchSummary,
     compare,
-    table,
     with_interval,
 )
 
@@ -56,12 +56,13 @@ def table1(summaries: Mapping[str, SearchSummary]) -> str:
         shares = (share(one[name]) for name in ("success", "spl"))
         return [title, *shares, f"{one['distance']:.2f}", f"{one['steps']:.1f}", *pairs]
 
-    rows = [["", "success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3"]]
+    columns = ["", "success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3"]
+    rows = []
     for name, one in summaries.items():
         rows.append(row(AGENT_TITLES[name], one._asdict(), with_interval))
         if name in PAPER_TABLE1:
             rows.append(row("the paper's", PAPER_TABLE1[name], "{:.3f}".format))
-    return table(rows, (25, 22, 22, 5, 5, 16, 17))
+    return text_table(columns, rows)
 
 
 def main(options: Options) -> None:

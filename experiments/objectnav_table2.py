@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.files.tables import text_table
 from dc2g_jax._src.runtime.errors import InputError, check_name
 from dc2g_jax.indoor.houses.dataset import IndoorHouse
 from dc2g_jax.indoor.learning.networks import CostMapEstimator, load_costs
@@ -19,7 +20,7 @@ from dc2g_jax.indoor.search.guides import ON_NETWORK, agent_with
 from experiments.objectnav.collecting import CollectionConfig, collect
 from experiments.objectnav.losses import OF_CLASSES
 from experiments.objectnav.training import CostMapConfig, figures, validation_samples
-from experiments.support.searches import ComparisonOptions, SearchSummary, compare, table
+from experiments.support.searches import ComparisonOptions, SearchSummary, compare
 
 #: Titles of the inputs of a network, see `indoor.learning.networks.Inputs`.
 ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
@@ -77,7 +78,7 @@ def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, S
             rows.append([title, *map("{:.2f}".format, percent), f"{success:.3f}", f"{spl:.3f}", f"{distance:.2f}"])
         of_classes.append([ABLATION_TITLES[name], *(f"{metrics[name][score]:.2f}" for score in OF_CLASSES)])
     of_classes.append(["the paper's (both)", *map("{:.2f}".format, _PAPER_OF_CLASSES)])
-    return f"{table(rows, (18, *[7] * 8))}\n\n{table(of_classes, (18, *[14] * len(OF_CLASSES)))}"
+    return "\n\n".join(text_table(columns, lines) for columns, *lines in (rows, of_classes))
 
 
 def open_networks(places: tuple[str | Path, ...]) -> dict[str, CostMapEstimator]:

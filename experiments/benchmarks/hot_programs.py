@@ -14,8 +14,7 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.named import planner_with
-from dc2g_jax._src.planning.planners import Planner
-from dc2g_jax._src.planning.rules import SETTINGS, Rules
+from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 from dc2g_jax._src.runtime.devices import AXIS, RUNS
@@ -75,20 +74,11 @@ def _array(*shape: int, dtype: Any = jnp.int32) -> Any:
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
-def rollout_loop(
-    planner: Planner, rules: Rules, robots: int, mesh: Mesh, *, cells: int = _CELLS, houses: int = _HOUSES
-) -> HotProgram:
-    """The loop of a rollout; a step is one decision of every robot, and new robots where some have finished.
-
-    Args:
-      planner: decides.
-      rules: of the episodes.
-      robots: side by side on each device, and waiting there.
-      mesh: the devices.
-      cells: side of the houses.
-      houses: how many.
-    """
-    worlds = jax.eval_shape(World.from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
+def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
+    """The loop of a rollout; a step is one decision of every robot, and new robots where some have finished."""
+    rules = SETTINGS["paper"].rules()
+    planner = planner_with(name, rules, network_in_folder(None))
+    worlds = jax.eval_shape(World.from_terrain, _array(_CELLS, _CELLS, _HOUSES, dtype=jnp.uint8))
     each, static = _array(mesh.size, robots), {"mesh": mesh, "sensing": rules.sensing}
     first = functools.partial(rollout._first_states, n_slots=robots, kept_steps=STEP_LIMIT, **static)
     queues, states = jax.eval_shape(first, planner, worlds, each, Pose(each, each, each), _array(mesh.size))
@@ -101,11 +91,6 @@ def rollout_loop(
         mesh=mesh,
         depth=2,
     )
-
-
-def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
-    rules = SETTINGS["paper"].rules()
-    return rollout_loop(planner_with(name, rules, network_in_folder(None)), rules, robots, mesh)
 
 
 def _step_program(
@@ -121,26 +106,16 @@ def _step_program(
     return HotProgram(learn, (state, drawn, hyperparameters), (runs, pairs, runs), {"training": training}, batch, mesh)
 
 
-def training_program(
-    part: StepPart, runs: int, devices: Mesh, *, config: TrainingConfig | None = None, cells: int = _CELLS
-) -> HotProgram:
-    """One of the two programs of an optimizer step of the cost-to-go network.
-
-    Args:
-      part: which of them.
-      runs: stacked ones, or 1.
-      devices: a mesh of the devices.
-      config: of each run; the default where `None`.
-      cells: side of the houses.
-    """
-    config = config or TrainingConfig()
+def _training(part: StepPart, runs: int, devices: Mesh) -> HotProgram:
+    """One of the two programs of an optimizer step of the cost-to-go network, for so many stacked runs, or for one."""
+    config = TrainingConfig()
     worlds = _HOUSES + (DataConfig().for_steps(TrainingConfig.steps).extra_houses or 0)
     groups = math.gcd(runs, devices.size)
     mesh = Mesh(devices.devices.reshape(groups, -1), (RUNS, AXIS))
     data = TrainingSet(
-        terrain=_array(worlds, cells, cells, dtype=jnp.uint8),
-        cost_to_go=_array(worlds, cells, cells, dtype=jnp.float32),
-        masks=_array(_MASKS, bitboard.word_count(cells), cells, dtype=jnp.uint32),
+        terrain=_array(worlds, _CELLS, _CELLS, dtype=jnp.uint8),
+        cost_to_go=_array(worlds, _CELLS, _CELLS, dtype=jnp.float32),
+        masks=_array(_MASKS, bitboard.word_count(_CELLS), _CELLS, dtype=jnp.uint32),
         mask_world=_array(_MASKS),
         n_own=_array(),
     )
@@ -216,7 +191,7 @@ def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Me
     """
     planners = {f"rollout {name}": functools.partial(_rollout, name, robots) for name in ("oracle", "frontier", "dc2g")}
     training = {
-        f"{what} {part}": functools.partial(training_program, part, runs)
+        f"{what} {part}": functools.partial(_training, part, runs)
         for what, runs in (("training", 1), ("sweep", _RUNS))
         for part in _PARTS_OF_A_STEP
     }

@@ -50,22 +50,15 @@ def with_episodes(row: Row, measured: Measured, reference: Any = None, every: in
 
 
 def own_episodes(
-    bench: Bench,
-    row: Row,
-    workload: Workload,
-    planner: str,
-    *,
-    sensing_range: int = SENSING_RANGE,
-    step_limit: int = STEP_LIMIT,
-    slots: int | None = None,
+    bench: Bench, row: Row, workload: Workload, planner: str, *, step_limit: int = STEP_LIMIT, slots: int | None = None
 ) -> tuple[Row, np.ndarray]:
     """Run all episodes with this package, on one core where the row says so: the row, and the actions."""
     run = functools.partial(
         rollout,
-        bench.planner(planner, sensing_range),
+        bench.planner(planner),
         workload.worlds,
         *workload.episodes,
-        sensing=bench.rules(sensing_range).sensing,
+        sensing=bench.rules().sensing,
         step_limit=step_limit,
         slots=slots,
         devices=jax.devices()[:1] if row.cores == 1 else None,

@@ -1,8 +1,7 @@
-"""Programs as compiled: how many equations, how long to trace and compile, how much memory."""
+"""Programs as compiled, and how much memory they need."""
 
 import contextlib
 import os
-import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -10,8 +9,6 @@ import jax
 from jax.experimental.compilation_cache import compilation_cache
 
 from dc2g_jax._src.runtime.programs import jit
-
-from .work import equations
 
 #: A program may need so much of the memory.
 _MOST_MEMORY = 0.5
@@ -26,19 +23,11 @@ class CompiledProgram(NamedTuple):
 
     Attributes:
       call: the program, without its static arguments.
-      equations: of its jaxpr, those inside loops and branches included.
-      trace_seconds: from Python to the compiler's input.
-      compile_seconds: from there to machine code.
       memory: bytes for arguments, results and everything between.
-      flops: floating-point operations as the compiler counts them, loops taken once.
     """
 
     call: Callable[..., Any]
-    equations: int
-    trace_seconds: float
-    compile_seconds: float
     memory: int
-    flops: float
 
 
 def device_memory() -> int:
@@ -74,21 +63,9 @@ def compile_program(function: Callable[..., Any], *arguments: Any, **static: Any
       TooLarge: if the program needs more memory than there is to spare.
     """
     jitted: Any = function if hasattr(function, "trace") else jit(function)
-    start = time.perf_counter()
-    traced = jitted.trace(*arguments, **static)
-    lowered = traced.lower()
-    traced_at = time.perf_counter()
-    compiled = lowered.compile()
-    compiled_at = time.perf_counter()
+    compiled = jitted.trace(*arguments, **static).lower().compile()
     analysis = compiled.memory_analysis()
     memory = analysis.temp_size_in_bytes + analysis.argument_size_in_bytes + analysis.output_size_in_bytes
     if memory > _MOST_MEMORY * device_memory():
         raise TooLarge(f"needs {memory / 2**30:.1f} GiB of memory")
-    return CompiledProgram(
-        call=compiled,
-        equations=equations(traced.jaxpr.jaxpr),
-        trace_seconds=traced_at - start,
-        compile_seconds=compiled_at - traced_at,
-        memory=memory,
-        flops=float((compiled.cost_analysis() or {}).get("flops", 0.0)),
-    )
+    return CompiledProgram(compiled, memory)

@@ -1,6 +1,5 @@
 """Environment steps alone, random actions: ours, and those of other gridworlds in JAX."""
 
-import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -12,16 +11,14 @@ import numpy as np
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import Pose
-from dc2g_jax._src.grid.terrain import ROAD
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.runtime.devices import cores
-from tests.oracles import numpy_gridworld
 
 from ..baselines import environments
 from ..baselines.environments import Environment
 from .bench import SENSING_RANGE, Bench, own
 from .programs import compile_program
-from .rows import Row, attempt, growing
+from .rows import Row, growing
 
 ENVIRONMENT_UNIT = "environment steps"
 
@@ -63,22 +60,6 @@ def _peer_steps(bench: Bench, make: Callable[[int, int], Environment], row: Row,
     return _stepped(bench, row, batch, run, jax.random.key(0))
 
 
-def _numpy_steps(bench: Bench, row: Row) -> Row:
-    """One robot of the plain NumPy program."""
-    shape = (bench.workload.cells, bench.workload.cells)
-    terrain = np.full(shape, ROAD, np.uint8)
-    actions = np.random.default_rng(0).integers(3, size=_STEPS)
-
-    def run() -> np.ndarray:
-        pose, seen = (shape[1] // 2, shape[0] // 2, 0), np.zeros(shape, bool)
-        for action in actions:
-            pose = numpy_gridworld.moved(pose, int(action), shape)
-            seen |= numpy_gridworld.visible(pose, SENSING_RANGE, shape)
-        return np.where(seen, terrain, 0)
-
-    return row.with_figures(bench.measure(run), float(_STEPS))
-
-
 def peers(bench: Bench, section: str, batches: Sequence[int]) -> Iterator[Row]:
     """Other environments with the same batches and side."""
     cells = bench.workload.cells
@@ -102,5 +83,3 @@ def environment_rows(bench: Bench) -> Iterator[Row]:
     )  # fmt: skip
     yield own_steps(bench, row, batch)
     yield from peers(bench, "environment", [batch])
-    row = dataclasses.replace(row, by="NumPy", batch=1, cores=1)
-    yield attempt(row, functools.partial(_numpy_steps, bench, row))

@@ -1,4 +1,4 @@
-"""How speed depends on the batch, on the size of the map and on the sensing range."""
+"""How speed depends on the batch and on the size of the map."""
 
 import dataclasses
 import functools
@@ -14,7 +14,7 @@ from .planners import PLANNER_UNIT, own_episodes, plain_programs
 from .programs import compile_program
 from .rows import Row, growing
 from .stepping import ENVIRONMENT_UNIT, own_steps, peers
-from .workload import Workload, cycles, resized
+from .workload import cycles, resized
 
 #: Planner steps of every robot in one call of the batch sweep.
 _CYCLES = 4
@@ -22,7 +22,7 @@ _CYCLES = 4
 #: Robots that one call moves at the least, a batch after another.
 _FEWEST_ROBOTS = 64
 
-#: Actions after which an episode ends where map or sensing range vary, so that large maps take no hours.
+#: Actions after which an episode ends where the size of the map varies, so that large maps take no hours.
 _STEP_LIMIT = 100
 
 
@@ -66,28 +66,16 @@ def batch_rows(bench: Bench) -> Iterator[Row]:
     yield from peers(bench, "batch", batches[:1] if bench.quick else batches[::2])
 
 
-def _side_by_side(bench: Bench, section: str, workload: Workload, sensing_range: int) -> Iterator[Row]:
-    """Frontier exploration: this package on all cores, C and Numba on one, the same episodes."""
-    own_cores = cores() if jax.devices()[0].platform == "cpu" else None
-    row = own(section, "frontier", PLANNER_UNIT, cells=workload.cells, sensing_range=sensing_range, cores=own_cores)
-    mine, actions = own_episodes(
-        bench, row, workload, "frontier", sensing_range=sensing_range, step_limit=_STEP_LIMIT
-    )  # fmt: skip
-    yield mine
-    problem = workload.problem(sensing_range=sensing_range, step_limit=_STEP_LIMIT)
-    yield from plain_programs(bench, row, problem, "frontier", actions)
-    lazy = dataclasses.replace(row, what="frontier_lazy")
-    yield from plain_programs(bench, lazy, problem, "frontier_lazy", actions)
-
-
 def grid_rows(bench: Bench) -> Iterator[Row]:
-    """Maps of growing size: houses side by side."""
+    """Frontier exploration of larger and larger maps: this package on all cores, C and Numba on one."""
+    own_cores = cores() if jax.devices()[0].platform == "cpu" else None
     sides = {60: 4} if bench.quick else {25: 128, 50: 128, 100: 64, 200: 32, 400: 16}
     for cells, count in sides.items():
-        yield from _side_by_side(bench, "grid", resized(bench.workload, cells, count=count), SENSING_RANGE)
-
-
-def range_rows(bench: Bench) -> Iterator[Row]:
-    """Sensors of growing reach."""
-    for sensing_range in (4,) if bench.quick else (4, 8, 16, 32):
-        yield from _side_by_side(bench, "range", bench.workload, sensing_range)
+        workload = resized(bench.workload, cells, count=count)
+        row = own("grid", "frontier", PLANNER_UNIT, cells=cells, sensing_range=SENSING_RANGE, cores=own_cores)
+        mine, actions = own_episodes(bench, row, workload, "frontier", step_limit=_STEP_LIMIT)
+        yield mine
+        problem = workload.problem(sensing_range=SENSING_RANGE, step_limit=_STEP_LIMIT)
+        yield from plain_programs(bench, row, problem, "frontier", actions)
+        lazy = dataclasses.replace(row, what="frontier_lazy")
+        yield from plain_programs(bench, lazy, problem, "frontier_lazy", actions)

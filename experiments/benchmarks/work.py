@@ -1,4 +1,4 @@
-"""How much work a program is: equations, and operations and bytes counted while it runs through its loops."""
+"""How much work a program is: operations and bytes, counted while it runs through its loops."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -47,11 +47,6 @@ class Work(NamedTuple):
 
 
 _NOTHING = Work(0, 0, 0)
-
-
-def equations(jaxpr: Jaxpr) -> int:
-    """Equations of a program, those inside its loops and branches included."""
-    return sum(1 + sum(equations(inner) for inner in jaxprs_in_params(equation.params)) for equation in jaxpr.eqns)
 
 
 def _size(variables: Sequence[Any]) -> int:

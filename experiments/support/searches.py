@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -153,11 +153,6 @@ def with_interval(value: Mean, sign: str = "") -> str:
     """A mean with its interval; with a sign if `sign` is `+`."""
     middle, low, high = (f"{one:{sign}.3f}" for one in value)
     return f"{middle} ({low} to {high})"
-
-
-def table(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> str:
-    """Rows of cells as text, right-aligned in columns of these widths."""
-    return "\n".join("  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows)
 
 
 def compare(

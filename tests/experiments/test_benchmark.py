@@ -24,7 +24,7 @@ from experiments.benchmarks.programs import TooLarge, compile_program
 from experiments.benchmarks.report import SECTIONS
 from experiments.benchmarks.rows import Row, attempt
 from experiments.benchmarks.timing import checksum, measure, summarize
-from experiments.benchmarks.work import Work, count_work, equations
+from experiments.benchmarks.work import Work, count_work
 from experiments.benchmarks.workload import make_workload, resized
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
@@ -47,9 +47,6 @@ def facts_of(folder: Path) -> dict:
             assert row["missing"] is None, row
         if row["missing"] is not None:
             assert row["missing"].startswith("not available: "), row
-        elif row["unit"] == "s":
-            assert row["seconds"] > 0
-            assert row["facts"]["equations"] > 10
         else:
             assert row["rate"] >= row["worst_rate"] > 0
         assert all(share > 0 for share in row["shares"].values())
@@ -80,7 +77,6 @@ def test_quick_benchmark_of_everything(tmp_path):
     assert {("oracle", "NumPy"), ("frontier", "C"), ("frontier", "Numba"), ("dc2g", "dc2g_jax")} <= of_planners
     table = (tmp_path / "out" / "benchmark.md").read_text()
     assert all(f"## {SECTIONS[section]}" in table for section in get_args(Section))
-    assert (tmp_path / "out" / "benchmark.png").stat().st_size > 10_000
     assert "Whole episodes" in result.stdout
 
 
@@ -218,7 +214,6 @@ def test_work_is_counted_through_loops():
         return jax.lax.scan(lambda count, row: (count + 1, countdown(row, mask)), 0, rows)[1]
 
     assert count_work(one_after_another, jnp.stack([x, x - 2])).turns == 2 + 5 + 3
-    assert equations(jax.make_jaxpr(countdown)(x, mask).jaxpr) > 4
 
 
 def test_compiled_programs_are_told_about():
@@ -226,10 +221,7 @@ def test_compiled_programs_are_told_about():
         jax.jit(lambda a, *, power: (a @ a) ** power, static_argnames="power"), jnp.eye(8), power=2
     )
     np.testing.assert_array_equal(program.call(jnp.eye(8)), np.eye(8))
-    assert program.flops >= 2 * 8**3
     assert program.memory >= 2 * 8 * 8 * 4
-    assert program.equations >= 2
-    assert program.compile_seconds > 0
 
 
 def test_the_machine_does_something():
