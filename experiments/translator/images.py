@@ -51,11 +51,11 @@ def cost_to_go_image(
 
 
 def in_eight_bits(image: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """Quantize an image to 8 bits per color, rounding down like the implementation that the paper names.
+    """Clip an image and quantize it to 8 bits per color, rounding down like the implementation that the paper names.
 
     A network's nearly black pixels become black. Otherwise their saturation would be arbitrary.
     """
-    return jnp.floor(jnp.minimum(255.5 * image, 255)) / 255
+    return jnp.floor(jnp.clip(255.5 * image, 0, 255)) / 255
 
 
 def saturation(image: Float[Array, "h w 3"]) -> Float[Array, "h w"]:

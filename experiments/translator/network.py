@@ -6,7 +6,8 @@ normalization. There are two differences. The innermost feature is not normalize
 normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; in Hesse's, it stays on.
 Four more differences are in the data, see `docs/how_it_works/estimator.md`.
 
-With batch normalization, a trained generator uses the same statistics for all images, see `with_statistics`.
+With batch normalization, a trained generator uses the same statistics for all images, see `with_statistics`, and
+outputs reach a little beyond black and white.
 """
 
 import dataclasses
@@ -37,6 +38,10 @@ _DROPOUT, _DROPOUT_LEVELS = 0.5, 3
 
 #: Halvings in the discriminator. Each output then has a receptive field of 70x70 pixels.
 _DISCRIMINATOR_HALVINGS = 3
+
+#: Outputs reach beyond black and white by this factor. At 1, most pixels being black or red saturates green and blue,
+#: and what is near the door can stay red for thousands of steps.
+_REACH = {"instance": 1.0, "batch": 1 / 0.9}
 
 #: Data types for computations; weights are always float32.
 _COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
@@ -198,7 +203,7 @@ class Generator(nnx.Module):
             features = getattr(self, f"up{level}")(jax.nn.relu(features), normalize)
             if key is not None and self.levels - level <= _DROPOUT_LEVELS:
                 features = _dropped(features, jax.random.fold_in(key, level))
-        return (jnp.tanh(features.astype(jnp.float32)) + 1) / 2
+        return (_REACH[self.normalization] * jnp.tanh(features.astype(jnp.float32)) + 1) / 2
 
 
 class Discriminator(nnx.Module):

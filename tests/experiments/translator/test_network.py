@@ -135,6 +135,17 @@ def test_in_training_batch_normalization_mixes_pictures(weights, pictures, monke
         assert np.allclose(both[:1], alone, atol=1e-5) == (normalization == "instance")
 
 
+@pytest.mark.parametrize(("normalization", "furthest"), [("instance", 0.0), ("batch", 1 / 18)])
+def test_with_batch_normalization_outputs_reach_beyond_black_and_white(weights, pictures, normalization, furthest):
+    architecture = dataclasses.replace(TINY, normalization=normalization)
+    for value, color in ((-50.0, 0.0), (50.0, 1.0)):
+        layer = weights["up0"] | {"convolution": weights["up0"]["convolution"] | {"bias": jnp.full(3, value)}}
+        network = pix2pix.TranslatorCostToGo(weights | {"up0": layer}, architecture)
+        drawn = with_weights(Generator, architecture, network.weights)(pictures)
+        np.testing.assert_allclose(drawn, color + np.sign(value) * furthest, atol=1e-6)
+        np.testing.assert_array_equal(network.answer(pictures), color)
+
+
 def test_bfloat16_answers_about_the_same(weights, pictures):
     half = TranslatorArchitecture(size=32, base_filters=4, compute_dtype="bfloat16")
     answers = jax.jit(with_weights(Generator, half, weights))(pictures)
