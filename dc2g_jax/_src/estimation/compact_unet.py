@@ -170,16 +170,31 @@ def _minimal_filtering(features: Float[Array, "b h w c"], kernel: Float[Array, "
     return jnp.moveaxis(filtered, 2, 0)
 
 
+def _usual(features: Float[Array, "b h w c"], kernel: Float[Array, "3 3 c d"]) -> Float[Array, "b h w d"]:
+    return jax.lax.conv_general_dilated(features, kernel, (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC"))
+
+
+def _filtered(features: Float[Array, "b h w c"], kernel: Float[Array, "3 3 c d"]) -> Float[Array, "b h w d"]:
+    """A 3x3 convolution, on a CPU by minimal filtering."""
+    return jax.lax.platform_dependent(features, kernel, cpu=_minimal_filtering, default=_usual)
+
+
+_small_convolution = jax.custom_jvp(_filtered)
+
+
+@_small_convolution.defjvp
+def _derivative_of_small_convolution(given: Any, tangents: Any) -> tuple[Array, Array]:
+    """The usual derivative with respect to the kernel: Adam would make steps of a gradient that is only rounding."""
+    features, kernel = given
+    return _small_convolution(*given), _filtered(tangents[0], kernel) + _usual(features, tangents[1])
+
+
 def _convolved(features: Array, kernel: Array, strides: Any, padding: Any, **options: Any) -> Array:
     """`jax.lax.conv_general_dilated`, with minimal filtering on a CPU for small grids of several maps."""
-
-    def direct(features: Array, kernel: Array) -> Array:
-        return jax.lax.conv_general_dilated(features, kernel, strides, padding, **options)
-
     small = max(features.shape[1:3]) < len(_POINTS) and features.dtype == jnp.float32
     if strides == (1, 1) and small and features.shape[0] >= _LEAST_MAPS:
-        return jax.lax.platform_dependent(features, kernel, cpu=_minimal_filtering, default=direct)
-    return direct(features, kernel)
+        return _small_convolution(features, kernel)
+    return jax.lax.conv_general_dilated(features, kernel, strides, padding, **options)
 
 
 class Convolution(nnx.Conv):
