@@ -100,7 +100,7 @@ def answers_in_cells(estimator: Estimator | None) -> bool:
 
 
 #: Smallest and largest batch of an estimator. In tiny batches the last bits of a convolution may depend on the size.
-_FEWEST_MAPS, _MOST_MAPS = 4, 4096
+_FEWEST_MAPS, _MOST_MAPS = compact_unet.LEAST_MAPS, 4096
 
 #: With more robots than this, an estimator has only two batch sizes: more would save little, and each is compiled.
 _MANY_ROBOTS = 256
