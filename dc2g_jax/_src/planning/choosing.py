@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from dc2g_jax._src.estimation.estimators import Estimator, update_where
 from dc2g_jax._src.grid import bitboard, poses, search
@@ -18,13 +18,10 @@ from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import (
     Ask,
     Assessment,
-    Planner,
-    choice_is_due,
+    SubgoalPlanner,
     explore_or_finish,
     observed_terrain,
     preferred_poses,
-    reachable_cells,
-    without_choice,
 )
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.runtime.programs import apart
@@ -93,7 +90,7 @@ def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, 
 
 
 @struct.dataclass
-class ChoosingPlanner(Planner):
+class ChoosingPlanner(SubgoalPlanner):
     """Heads for the frontier-expanding pose of the lowest score, or for the goal once it is reachable.
 
     It keeps to its choice until that pose would reveal nothing more, or enough has been seen since. Nothing is chosen
@@ -124,12 +121,9 @@ class ChoosingPlanner(Planner):
         state = () if estimator is None else estimator.init(world)
         return Chosen(nothing, every_heading(nothing), nothing, score, state)
 
-    def look(self, belief: Belief, state: Chosen) -> tuple[Bool[Array, "*batch"], Any]:
-        """Whether a choice is due; and what it is made from: reachable cells and candidates."""
-        reachable = reachable_cells(belief, state.reachable)
-        candidates = exploring_poses(belief, reachable, self.rules)
-        due = choice_is_due(belief, reachable, candidates, state, self.rules, self.replan_fraction)
-        return due, (due, reachable, candidates)
+    def choices(self, belief: Belief, reachable: Board) -> PoseSet:
+        """See `exploring_poses`."""
+        return exploring_poses(belief, reachable, self.rules)
 
     def ask(self, belief: Belief, state: Chosen) -> Chosen:
         """The state after another choice: the poses of the lowest score."""
@@ -150,7 +144,3 @@ class ChoosingPlanner(Planner):
         plan = explore_or_finish(belief, reachable, state.subgoals & candidates, self.rules)
         rated = candidates & bitboard.pack(state.score < jnp.inf)
         return Assessment(plan, reachable, rated, state.score), state._replace(reachable=reachable)
-
-    def revised(self, state: Chosen, changed: Board) -> Chosen:
-        """See `planners.without_choice`."""
-        return without_choice(state, changed)

@@ -26,13 +26,10 @@ from dc2g_jax._src.planning import frontiers
 from dc2g_jax._src.planning.planners import (
     Ask,
     Assessment,
-    Planner,
-    choice_is_due,
+    SubgoalPlanner,
     explore_or_finish,
     observed_terrain,
-    reachable_cells,
     summarized,
-    without_choice,
 )
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.planning.selection import mean_of, mean_outcome
@@ -184,7 +181,7 @@ def weights_of(score: Mapping[str, Mapping[str, Any]], degrees: float | None = N
 
 
 @struct.dataclass
-class LearnedScore(Planner):
+class LearnedScore(SubgoalPlanner):
     """Heads for the candidate with the lowest score, or for the goal once it is reachable.
 
     Candidates are poses that reveal something: in each square of 8 cells a side, the pose with the lowest sum of the
@@ -256,10 +253,8 @@ class LearnedScore(Planner):
 
     def look(self, belief: Belief, state: ScoredChoice) -> tuple[Bool[Array, "*batch"], Any]:
         """Whether the estimator is asked; whether a choice is due, reachable cells, and poses that reveal something."""
-        reachable = reachable_cells(belief, state.reachable)
-        revealing = frontiers.complete(belief, reachable, self.rules.sensing)
-        due = choice_is_due(belief, reachable, revealing, state, self.rules, self.replan_fraction)
-        return due & self._readable(belief, belief.seen), (due, reachable, revealing)
+        due, looked = super().look(belief, state)
+        return due & self._readable(belief, belief.seen), looked
 
     def _readable(self, belief: Belief, cells: Board) -> Bool[Array, "*batch"]:
         """Whether there is an estimator that predicts something from these observed cells."""
@@ -335,10 +330,6 @@ class LearnedScore(Planner):
         if self.estimator is not None:
             assessment = dataclasses.replace(assessment, cost_to_go=mean_of(state.estimates)[0], penalty=penalty)
         return assessment, state._replace(reachable=reachable)
-
-    def revised(self, state: ScoredChoice, changed: Board) -> ScoredChoice:
-        """See `planners.without_choice`."""
-        return without_choice(state, changed)
 
 
 def _on_map(

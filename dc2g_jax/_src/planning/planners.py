@@ -334,36 +334,45 @@ def preferred_poses(belief: Belief, reachable: Board, revealing: PoseSet, rules:
     return jnp.where(poses.is_empty(preferred), revealing, preferred)
 
 
-def choice_is_due(
-    belief: Belief, reachable: Board, revealing: PoseSet, state: Any, rules: Rules, replan_fraction: float
-) -> Bool[Array, "*batch"]:
-    """Whether a robot that explores needs another subgoal: its own reveal nothing more, or it has seen enough since.
+class SubgoalPlanner(Planner):
+    """A planner that keeps to its subgoals until they reveal nothing more, or enough has been seen since.
 
-    Args:
-      belief: belief of the robot.
-      reachable: reachable cells.
-      revealing: poses that reveal something when reached.
-      state: `subgoals`, the poses chosen last, and `chosen_from`, the cells that had been observed then.
+    Its state is a NamedTuple that has the `reachable` cells of the last step; `subgoals`, the poses chosen last; and
+    `chosen_from`, the cells that had been observed then.
+
+    Attributes:
       rules: field of view.
       replan_fraction: share of the cells in the field of view that must be newly seen; at least one cell must.
     """
-    undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
-    news = bitboard.count(belief.seen ^ state.chosen_from)
-    enough = max(1.0, replan_fraction * len(rules.sensing.offsets[0]))
-    return undecided & ((news >= enough) | poses.is_empty(state.subgoals & revealing))
 
+    rules: Rules
+    replan_fraction: float = 0.0
 
-def without_choice(state: Any, changed: Board) -> Any:
-    """A state whose `reachable` cells, `chosen_from` and `subgoals` are as if these cells had not been observed.
+    def choices(self, belief: Belief, reachable: Board) -> PoseSet:
+        """The poses to choose from: those that reveal something when reached."""
+        return frontiers.complete(belief, reachable, self.rules.sensing)
 
-    If there are any, reachable cells may be lost, and another choice is due.
-    """
-    same = bitboard.is_empty(changed)
-    return state._replace(
-        reachable=jnp.where(same, state.reachable, jnp.uint32(0)),
-        chosen_from=state.chosen_from & ~changed,
-        subgoals=jnp.where(same, state.subgoals, jnp.uint32(0)),
-    )
+    def look(self, belief: Belief, state: Any) -> tuple[Bool[Array, "*batch"], Any]:
+        """Whether another choice is due; this again, reachable cells, and the poses to choose from."""
+        reachable = reachable_cells(belief, state.reachable)
+        choices = self.choices(belief, reachable)
+        undecided = ~poses.is_empty(choices) & ~bitboard.intersects(reachable, belief.goals)
+        news = bitboard.count(belief.seen ^ state.chosen_from)
+        enough = max(1.0, self.replan_fraction * len(self.rules.sensing.offsets[0]))
+        due = undecided & ((news >= enough) | poses.is_empty(state.subgoals & choices))
+        return due, (due, reachable, choices)
+
+    def revised(self, state: Any, changed: Board) -> Any:
+        """The state as if these cells had not been observed.
+
+        If there are any, reachable cells may be lost, and another choice is due.
+        """
+        same = bitboard.is_empty(changed)
+        return state._replace(
+            reachable=jnp.where(same, state.reachable, jnp.uint32(0)),
+            chosen_from=state.chosen_from & ~changed,
+            subgoals=jnp.where(same, state.subgoals, jnp.uint32(0)),
+        )
 
 
 def with_summary(estimator: Estimator, summary: Callable[[Array], Array]) -> tuple[Estimator, Callable[[Array], Array]]:
@@ -398,7 +407,7 @@ def summarized(
 
 
 @struct.dataclass
-class DC2G(Planner):
+class DC2G(SubgoalPlanner):
     """Deep Cost-to-Go (Algorithm 2): go to the frontier-expanding pose with the lowest estimated cost-to-go.
 
     Candidates are the frontier-expanding poses of the rules that reveal something when reached; if there are none, all
@@ -445,13 +454,6 @@ class DC2G(Planner):
             candidates, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
         return candidates, self.selection(estimate, lengths)
 
-    def look(self, belief: Belief, state: "Choice") -> tuple[Bool[Array, "*batch"], Any]:
-        """Whether another choice of the subgoal is due; reachable cells, and poses that reveal something."""
-        reachable = reachable_cells(belief, state.reachable)
-        revealing = frontiers.complete(belief, reachable, self.rules.sensing)
-        due = choice_is_due(belief, reachable, revealing, state, self.rules, 0.0)
-        return due, (due, reachable, revealing)
-
     def ask(self, belief: Belief, state: "Choice") -> Estimates:
         """The selection rule's summary of an estimate."""
         part = trait(self.estimator, "extent").part(observed_terrain(belief), belief.pose)
@@ -477,10 +479,6 @@ class DC2G(Planner):
         plan = explore_or_finish(belief, reachable, state.subgoals & revealing, self.rules)
         state = state._replace(reachable=reachable)
         return Assessment(plan, reachable, candidates, score, mean_of(state.estimate)), state
-
-    def revised(self, state: "Choice", changed: Board) -> "Choice":
-        """See `without_choice`."""
-        return without_choice(state, changed)
 
 
 class Choice(NamedTuple):
