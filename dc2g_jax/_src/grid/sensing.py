@@ -19,6 +19,7 @@ from scipy import ndimage
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.bitboard import WORD_BITS, Board
 from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
+from dc2g_jax._src.grid.squares import running_sums
 from dc2g_jax._src.runtime.errors import check_number
 from dc2g_jax._src.runtime.programs import apart
 
@@ -111,7 +112,8 @@ class Kernel:
         framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
         # A run of offsets down a column is the difference of two sums, exact although small integers overflow. Without
         # the barrier, a GPU would compute the sums again for each offset.
-        sums = jax.lax.optimization_barrier(jax.lax.platform_dependent(framed, cpu=_row_by_row, default=_sums_of_rows))
+        cumsum = functools.partial(jnp.cumsum, axis=0, dtype=framed.dtype)
+        sums = jax.lax.optimization_barrier(jax.lax.platform_dependent(framed, cpu=running_sums, default=cumsum))
 
         def counted(runs: list[tuple[int, int, int]], sums: Array) -> Array:
             def until(dx: int, dy: int) -> Array:
@@ -134,16 +136,6 @@ def _runs(offsets: tuple[tuple[int, int], ...]) -> list[tuple[int, int, int]]:
         first = runs.pop()[1] if runs and runs[-1][::2] == (dx, dy - 1) else dy
         runs.append((dx, first, dy))
     return runs
-
-
-def _sums_of_rows(rows: Array) -> Array:
-    """The sum of each row and all rows above, in the type of the rows."""
-    return jnp.cumsum(rows, axis=0, dtype=rows.dtype)
-
-
-def _row_by_row(rows: Array) -> Array:
-    """The same, faster on a CPU."""
-    return jax.lax.scan(lambda above, row: (above + row,) * 2, jnp.zeros_like(rows[0]), rows)[1]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Values at single cells, counts of cells in rectangles, and shifted grids."""
+"""Values at single cells, sums and counts of cells in rectangles, and shifted grids."""
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,11 @@ def at_cells(values: Array, x: Int[Array, "point *batch"], y: Int[Array, "point 
     return jnp.take_along_axis(flat, (y * width + x).reshape(*(1,) * lead, *x.shape), axis=lead)
 
 
+def running_sums(rows: Array) -> Array:
+    """The sum of each row and all rows above. On a CPU, this is faster than `jnp.cumsum`."""
+    return jax.lax.scan(lambda above, row: (above + row,) * 2, jnp.zeros_like(rows[0]), rows)[1]
+
+
 def corner_sums(cells: Bool[Array, "..."], lead: int = 0) -> Int[Array, "..."]:
     """Summed-area table: number of cells of a set above and left of each grid corner, for `in_rectangle`.
 
@@ -22,9 +27,7 @@ def corner_sums(cells: Bool[Array, "..."], lead: int = 0) -> Int[Array, "..."]:
     """
 
     def along(axis: int, counts: Array) -> Array:
-        rows = jnp.moveaxis(counts, axis, 0)
-        sums = jax.lax.scan(lambda above, row: (above + row,) * 2, jnp.zeros_like(rows[0]), rows)[1]
-        return jnp.moveaxis(sums, 0, axis)
+        return jnp.moveaxis(running_sums(jnp.moveaxis(counts, axis, 0)), 0, axis)
 
     sums = along(lead + 1, along(lead, cells.astype(jnp.int32)))
     return jnp.pad(sums, [(int(axis in (lead, lead + 1)), 0) for axis in range(cells.ndim)])
