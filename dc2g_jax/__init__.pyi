@@ -15,7 +15,7 @@ from ._src.planning.online import OnlinePlanner as OnlinePlanner
 from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner
 from ._src.planning.metric_map import MetricMap as MetricMap
-from ._src.environments.task import make_env as make_env
+from ._src.environments.functional import make_env as make_env
 from ._src.runtime.devices import use_cores as use_cores
 from ._src.estimation.hub import load_network as load_network
 

@@ -8,8 +8,8 @@ from dc2g_jax._src.environments.functional import (
     egocentric as egocentric,
     front_door as front_door,
     image as image,
+    make_env as make_env,
     observe as observe,
     one_hot_view as one_hot_view,
 )
-from dc2g_jax._src.environments.task import make_env as make_env
 from dc2g_jax._src.environments.wrappers import FlattenObservation as FlattenObservation
