@@ -204,9 +204,9 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
 
 def test_the_command_records_observed_parts_of_validation_houses(tmp_path, street):
     dataset = HouseDataset("two", "folder", (House("a", "val", street), House("b", "val", street[:, ::-1].copy())))
-    maps = maps_to_watch(dataset, 6)
-    assert shown_by(Options(out=tmp_path), _CONFIG, lambda: maps) == {}
-    shown_by(Options(out=tmp_path, record=True), _CONFIG, lambda: maps)["recording"]().close()
+    maps = maps_to_watch(dataset)
+    assert shown_by(Options(out=tmp_path), _CONFIG, dataset) == {}
+    shown_by(Options(out=tmp_path, record=True), _CONFIG, dataset)["recording"]().close()
     shown = read(tmp_path / "training-001.rrd")["/maps/known", "SegmentationImage:buffer"][None]
     np.testing.assert_array_equal(_shown(shown, maps), maps.terrain)
     houses = [house.terrain for house in dataset.split("val")]

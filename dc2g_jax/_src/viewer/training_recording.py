@@ -1,6 +1,7 @@
 """Recordings of training for the rerun viewer: curves, and predictions for a few fixed maps."""
 
 import contextlib
+import functools
 import itertools
 import uuid
 from collections.abc import Mapping
@@ -34,7 +35,7 @@ from dc2g_jax._src.viewer.columns import TIMELINE, curve_style, first_view, imag
 from dc2g_jax._src.viewer.legend import CostScale
 
 #: Number of maps in a recording, and in pictures for a tracker.
-MAPS_SHOWN = 6
+_MAPS_SHOWN = 6
 
 #: Gap between two maps side by side, columns.
 _GAP = 2
@@ -71,19 +72,16 @@ def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> 
     return jnp.mean(compact_unet.apply(network.architecture, network.weights, terrain), axis=-1)
 
 
-def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
+@functools.cache
+def maps_to_watch(dataset: HouseDataset) -> Pair:
     """Partial maps of the dataset's validation houses by exploring robots, the same in every run.
-
-    Args:
-      dataset: dataset with validation houses.
-      count: number of maps.
 
     Raises:
       InputError: there are no such maps.
     """
     houses = usable_houses(dataset, "val")
     rules = complete_rules(_SENSING_RANGE)
-    starts = sample_starts(houses, -(-count // len(houses)), seed=0)
+    starts = sample_starts(houses, -(-_MAPS_SHOWN // len(houses)), seed=0)
     masks = collect_masks(
         Frontier(rules=rules),
         stack_worlds(houses),
@@ -96,9 +94,9 @@ def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
         raise InputError(
             f"{dataset.name}: robots see a door of its validation houses at once; train without --record and --track"
         )
-    chosen = np.linspace(0, len(masks.world) - 1, count).round().astype(int)
+    chosen = np.linspace(0, len(masks.world) - 1, _MAPS_SHOWN).round().astype(int)
     data = training_set(houses, len(houses), Masks(masks.boards[chosen], masks.world[chosen]))
-    return jax.vmap(lambda index: make_pair(data, index, jnp.int32(0), edge_weight=1.0))(jnp.arange(count))
+    return jax.vmap(lambda index: make_pair(data, index, jnp.int32(0), edge_weight=1.0))(jnp.arange(_MAPS_SHOWN))
 
 
 def next_file(folder: Path) -> Path:
@@ -107,9 +105,9 @@ def next_file(folder: Path) -> Path:
     return next(file for file in files if not file.exists())
 
 
-def _side_by_side(images: UInt8[np.ndarray, "n h w"]) -> UInt8[np.ndarray, "h all"]:
-    """Class images in a row, with gaps of class 0."""
-    padded = np.pad(images, ((0, 0), (0, 0), (0, _GAP)))
+def _side_by_side(images: UInt8[np.ndarray, "n h w *rgb"], gap: int = 0) -> UInt8[np.ndarray, "h all *rgb"]:
+    """Images in a row, with gaps of this value."""
+    padded = np.pad(images, [(0, 0), (0, 0), (0, _GAP), (0, 0)][: images.ndim], constant_values=gap)
     return np.concatenate(list(padded), axis=1)[:, :-_GAP]
 
 
@@ -150,11 +148,9 @@ def prediction_picture(network: NetworkCostToGo, maps: Pair) -> UInt8[np.ndarray
         [scale.classes(np.asarray(cost), counts) for cost in (_expected_cost(network, maps.terrain), exact)]
     )
     tiles = np.concatenate([FIGURE_RGB[np.asarray(maps.terrain)][None], scale.colors()[costs]])
-    apart = np.pad(tiles, [(0, 0), (0, 0), (0, 0), (0, _GAP), (0, 0)], constant_values=255)
     parts = []
-    for name, row in zip(_ROWS.values(), apart, strict=False):
-        cells = np.concatenate(list(row), axis=1)[:, :-_GAP]
-        pixels = cells.repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
+    for name, row in zip(_ROWS.values(), tiles, strict=False):
+        pixels = _side_by_side(row, gap=255).repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
         caption = Image.new("RGB", (pixels.shape[1], _CAPTION), "white")
         ImageDraw.Draw(caption).text((2, 2), name, fill="black", font_size=_CAPTION - 6)
         parts += [np.asarray(caption), pixels]

@@ -5,7 +5,6 @@ After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
-import functools
 from typing import Any, Literal
 
 import jax
@@ -21,7 +20,7 @@ from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import LOSSES
 from dc2g_jax._src.training.sweeps import SWEEP, Sweep, sweep
-from dc2g_jax._src.viewer.training_recording import MAPS_SHOWN, maps_to_watch, prediction_picture
+from dc2g_jax._src.viewer.training_recording import maps_to_watch, prediction_picture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,16 +76,16 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
 
 def run_sweep(options: Options, dataset: HouseDataset, command: str) -> Sweep:
     """Train and validate all runs of a command; write, plot and print the results."""
-    maps = functools.cache(lambda: maps_to_watch(dataset, MAPS_SHOWN))
 
     def begin() -> None:
         output_folder(options, command, free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
         if options.track is not None:
-            maps()  # raises before minutes of other work
+            maps_to_watch(dataset)  # raises before minutes of other work
 
     result = sweep(
         options.out, dataset, **options.arguments(), card={"command": command_written(), "commit": commit()},
-        picture=None if options.track is None else lambda network: prediction_picture(network, maps()), begin=begin,
+        picture=None if options.track is None else lambda network: prediction_picture(network, maps_to_watch(dataset)),
+        begin=begin,
     )  # fmt: skip
     if jax.process_index() == 0:
         plot_sweep(result, options.out / "sweep")

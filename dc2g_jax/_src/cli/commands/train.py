@@ -4,8 +4,6 @@ After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
-import functools
-from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -22,17 +20,10 @@ from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import parse_losses
-from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.score import ScoreConfig
 from dc2g_jax._src.training.train import EPISODES_EVERY, Trained, train
 from dc2g_jax._src.viewer.columns import viewer_sink
-from dc2g_jax._src.viewer.training_recording import (
-    MAPS_SHOWN,
-    TrainingRecording,
-    maps_to_watch,
-    next_file,
-    prediction_picture,
-)
+from dc2g_jax._src.viewer.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,7 +111,7 @@ class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
         )
 
 
-def shown_by(options: Options, config: TrainingConfig, maps: Callable[[], Pair]) -> dict[str, Any]:
+def shown_by(options: Options, config: TrainingConfig, dataset: HouseDataset) -> dict[str, Any]:
     """What shows the training on maps, as the options ask."""
     records = options.record or options.connect is not None
     if not records and options.track is None:
@@ -128,20 +119,26 @@ def shown_by(options: Options, config: TrainingConfig, maps: Callable[[], Pair])
 
     def recording() -> TrainingRecording:
         file = next_file(options.out) if options.record else None
-        return TrainingRecording(options.out, config, maps(), file=file, viewer=options.connect)
+        return TrainingRecording(options.out, config, maps_to_watch(dataset), file=file, viewer=options.connect)
 
-    return {"recording": recording if records else None, "picture": lambda network: prediction_picture(network, maps())}
+    return {
+        "recording": recording if records else None,
+        "picture": lambda network: prediction_picture(network, maps_to_watch(dataset)),
+    }
 
 
 def main(options: Options) -> None:
-    """Train, validate, save and evaluate the network."""
-    dataset = open_dataset(options.dataset)
-    if options.target == "steps":
-        _learn_score(options, dataset)
-        return
+    """Train, validate, save and evaluate the network, or learn its score."""
+    learn = _learn_score if options.target == "steps" else _train_network
+    trained = learn(options, open_dataset(options.dataset), {"command": command_written(), "commit": commit()})
+    print(f"Trained: {options.out / 'network'}")
+    if trained.results is not None:
+        print(f"In the houses of split {options.split}:\n{trained.results}")
+
+
+def _train_network(options: Options, dataset: HouseDataset, card: dict[str, Any]) -> Trained:
     config = options.training(max(dataset.houses[0].terrain.shape))
-    maps = functools.cache(lambda: maps_to_watch(dataset, MAPS_SHOWN))  # the same validation houses in every run
-    shown = shown_by(options, config, maps)
+    shown = shown_by(options, config, dataset)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written
 
@@ -152,31 +149,20 @@ def main(options: Options) -> None:
         free = {"validate_every", "episodes_every", "minutes_per_checkpoint", "record", "connect", "split"}
         output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
         if shown:
-            maps()  # raises before minutes of other work
+            maps_to_watch(dataset)  # raises before minutes of other work
 
-    trained = train(
+    return train(
         options.out, dataset, config=config, data=options.data,
         pauses=Pauses(options.validate_every, options.minutes_per_checkpoint), episodes_every=options.episodes_every,
-        after=options.after, split=options.split, track=options.track, **shown,
-        card={"command": command_written(), "commit": commit()}, begin=begin,
+        after=options.after, split=options.split, track=options.track, **shown, card=card, begin=begin,
     )  # fmt: skip
-    _print_trained(options, trained)
 
 
-def _learn_score(options: Options, dataset: HouseDataset) -> None:
-    """Learn the weights of the score."""
+def _learn_score(options: Options, dataset: HouseDataset, card: dict[str, Any]) -> Trained:
     config = ScoreConfig(
         options.rounds, options.maps, options.houses, field_of_view=options.data.field_of_view, seed=options.seed
     )
-    trained = train(
-        options.out, dataset, config=config, after=options.after, split=options.split,
-        card={"command": command_written(), "commit": commit()},
+    return train(
+        options.out, dataset, config=config, after=options.after, split=options.split, card=card,
         begin=lambda: output_folder(options, "train", free={"split"}, inputs=digests(dataset)),
     )  # fmt: skip
-    _print_trained(options, trained)
-
-
-def _print_trained(options: Options, trained: Trained) -> None:
-    print(f"Trained: {options.out / 'network'}")
-    if trained.results is not None:
-        print(f"In the houses of split {options.split}:\n{trained.results}")
