@@ -1,6 +1,7 @@
 """Animations hold a picture a step, and can be read back."""
 
 import dataclasses
+import functools
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from dc2g_jax._src.figures import animation
 from dc2g_jax._src.figures._sheets import most_columns
 from dc2g_jax._src.figures.animation import animate, pictures, write_animation
 from dc2g_jax._src.figures.costs import exact_cost_to_go, highest_cost
+from dc2g_jax._src.figures.episode_figures import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
 from tests.support import toy
 from tests.support.refusals import refusal
@@ -94,8 +96,13 @@ def test_panels_fill_the_room(panels, shape, columns):
     assert most_columns(panels, shape) == columns
 
 
+def _written(path, **options):
+    paint = functools.partial(pictures, toy.HOUSE, toy.replayed())
+    return write_animation(path, paint, _LAST + 1, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR), **options)
+
+
 def test_a_gif_has_every_picture(shown, tmp_path):
-    path = animate(tmp_path / "new" / "toy.gif", toy.HOUSE, toy.replayed(), frames_per_second=10, most_pictures=8)
+    path = _written(tmp_path / "new" / "toy.gif", frames_per_second=10, most_pictures=8)
     with Image.open(path) as image:
         assert image.n_frames == 9
         durations = []
@@ -113,7 +120,7 @@ def test_a_gif_has_every_picture(shown, tmp_path):
 
 def test_an_mp4_has_every_picture_and_holds_the_last(shown, tmp_path):
     steps = [0, 8, 16, _LAST]
-    path = animate(tmp_path / "toy.MP4", toy.HOUSE, toy.replayed(), frames_per_second=2, most_pictures=3)
+    path = _written(tmp_path / "toy.MP4", frames_per_second=2, most_pictures=3)
     found, frames_per_second = _video(path)
     assert frames_per_second == pytest.approx(2)
     assert len(found) == len(steps) + 5

@@ -135,17 +135,8 @@ def write_animation(
     return path
 
 
-def animate(
-    path: str | Path,
-    house: House,
-    frames_by_planner: Mapping[str, Frames],
-    *,
-    frames_per_second: int = 12,
-    most_pictures: int = 250,
-) -> Path:
+def animate(path: str | Path, house: House, frames_by_planner: Mapping[str, Frames]) -> Path:
     """Write an animation of planners from one start, side by side; see `pictures` and `write_animation`."""
     paint = functools.partial(pictures, house, frames_by_planner)
     count = max(len(frames) for frames in frames_by_planner.values())
-    return write_animation(
-        path, paint, count, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR), frames_per_second, most_pictures
-    )
+    return write_animation(path, paint, count, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR), frames_per_second=12)
