@@ -84,7 +84,6 @@ def output_folder(
         if resume:
             raise InputError("--resume: which run? give the --out folder that it writes to")
         folder = Path("outputs") / f"{command}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
-    given = _plain_options(options)
     run = {
         "command": command_written(),
         "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -93,13 +92,12 @@ def output_folder(
     }
     if getattr(options, "dataset", "") is None and (location := os.environ.get("DC2G_DATA")):
         run["DC2G_DATA"] = location  # where houses are read from, if no option says it
-    facts = {"experiment": command, "options": given, "inputs": dict(inputs or {}), "runs": [run]}
+    facts = {"experiment": command, "options": _plain_options(options), "inputs": dict(inputs or {}), "runs": [run]}
     try:
         if resume:
             before = _read_run(folder)
             alone = _hold(folder)
-            _require_same(folder, before, command, given, {*WHERE, *free})
-            _require_same_inputs(folder, before["inputs"], inputs or {})
+            _require_same(folder, before, facts, {*WHERE, *free})
             facts["runs"] = [*before["runs"], run]
         else:
             _make_new(folder, resumable=hasattr(options, "resume"))
@@ -167,14 +165,14 @@ def _read_run(folder: Path) -> dict[str, Any]:
     return facts
 
 
-def _require_same(
-    folder: Path, before: dict[str, Any], command: str, given: dict[str, Any], free: Collection[str]
-) -> None:
-    if before.get("experiment") != command:
+def _require_same(folder: Path, before: dict[str, Any], now: dict[str, Any], free: Collection[str]) -> None:
+    """Check that a run is resumed with the options and the inputs of its record, except for `free` options."""
+    if before.get("experiment") != now["experiment"]:
         raise InputError(
-            f"{folder}: holds a run of {short(before.get('experiment'))}, not of {command}; give --out another folder"
+            f"{folder}: holds a run of {short(before.get('experiment'))}, not of {now['experiment']}; give --out "
+            "another folder"
         )
-    for name, value in given.items():
+    for name, value in now["options"].items():
         if name.rpartition(".")[2] not in free and before["options"].get(name) != value:
             option, then = f"--{name.rpartition('.')[2].replace('_', '-')}", before["options"].get(name)
             begun = f"without {option}" if then is None else f"with {option} {short(then)}"
@@ -182,11 +180,8 @@ def _require_same(
                 f"{folder}: was begun {begun}, now it is {short(value)}; resume it with the same options, or give "
                 "--out another folder"
             )
-
-
-def _require_same_inputs(folder: Path, before: Mapping[str, Any], now: Mapping[str, str]) -> None:
-    for name, digest in now.items():
-        if before.get(name) != digest:
+    for name, digest in now["inputs"].items():
+        if before["inputs"].get(name) != digest:
             told = " (or for DC2G_DATA)" if name == "dataset" else ""
             raise InputError(
                 f"{folder}: what is read for --{name.replace('_', '-')}{told} has changed since it was begun; bring it "
