@@ -1,5 +1,6 @@
 """The download, against a server on this machine that can be made to misbehave."""
 
+import functools
 import hashlib
 import http.server
 import os
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import pytest
 
+from dc2g_jax._src.readers import _download
 from dc2g_jax._src.readers._download import (
     FOLDER_NAME,
     URLS,
@@ -137,12 +139,15 @@ def server(source: Path, monkeypatch):
 
 
 @pytest.fixture
-def fetch(tmp_path: Path, server: Server, manifest: Path):
-    def call(cache: Path | None = None, **options) -> Path:
-        place = tmp_path / "cache" if cache is None else cache
-        return fetch_dataset(place, **{"urls": (server.url,), "manifest": manifest, "progress": False} | options)
+def cache(tmp_path: Path, monkeypatch) -> Path:
+    """The folder of downloads."""
+    monkeypatch.setenv("DC2G_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
 
-    return call
+
+@pytest.fixture
+def fetch(cache: Path, server: Server, manifest: Path):
+    return functools.partial(fetch_dataset, urls=(server.url,), manifest=manifest)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -157,7 +162,7 @@ def only_whole_files(cache: Path, source: Path) -> bool:
 
 
 def test_download_is_complete_and_happens_once(fetch, source, server, tmp_path, capsys):
-    folder = fetch(progress=True)
+    folder = fetch()
     assert folder == tmp_path / "cache" / FOLDER_NAME
     assert contents(folder) == contents(source)
     assert os.listdir(folder.parent) == [FOLDER_NAME]
@@ -165,7 +170,7 @@ def test_download_is_complete_and_happens_once(fetch, source, server, tmp_path, 
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "12/12" in captured.err
-    assert fetch(progress=True) == folder
+    assert fetch() == folder
     assert server.requests.total() == 12
     assert capsys.readouterr() == ("", "")
 
@@ -191,21 +196,20 @@ def test_trouble_that_passes_is_tried_again(fetch, source, server):
 
 def test_download_goes_to_the_cache_of_the_environment(server, manifest, source, tmp_path, monkeypatch):
     monkeypatch.setenv("DC2G_CACHE", str(tmp_path / "chosen"))
-    folder = fetch_dataset(urls=(server.url,), manifest=manifest, progress=False)
+    folder = fetch_dataset(urls=(server.url,), manifest=manifest)
     assert folder == tmp_path / "chosen" / FOLDER_NAME
     assert contents(folder) == contents(source)
 
 
-def test_the_next_address_is_asked_where_the_first_lacks_the_file(server, manifest, source, tmp_path):
-    urls = (server.url + "moved/", server.url)
-    folder = fetch_dataset(tmp_path / "cache", urls=urls, manifest=manifest, progress=False)
+def test_the_next_address_is_asked_where_the_first_lacks_the_file(fetch, server, source):
+    folder = fetch(urls=(server.url + "moved/", server.url))
     assert contents(folder) == contents(source)
 
 
 @needs_shared
-def test_the_published_dataset_through_the_shipped_manifest(tmp_path, server):
+def test_the_published_dataset_through_the_shipped_manifest(cache, server):
     server.folder = PUBLISHED
-    folder = fetch_dataset(tmp_path / "cache", urls=(server.url,), progress=False)
+    folder = fetch_dataset(urls=(server.url,))
     assert matches_published(folder)
     assert len(contents(folder)) == 81
     for name, data in contents(folder).items():
@@ -273,14 +277,13 @@ def test_many_at_once_all_get_the_whole_dataset(fetch, server, source, tmp_path)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-def test_interrupt_ends_the_download_at_once_and_leaves_whole_files(server, manifest, source, tmp_path):
+def test_interrupt_ends_the_download_at_once_and_leaves_whole_files(cache, server, manifest, source):
     server.script = {f"full/train/a {index}.png": ["stall"] for index in range(1, 12, 2)}
     code = (
         # Where the tests run in the background, processes start with interrupts ignored.
         "import pathlib, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         "from dc2g_jax._src.readers._download import fetch_dataset;"
-        f"fetch_dataset({str(tmp_path / 'cache')!r}, urls=({server.url!r},), "
-        f"manifest=pathlib.Path({str(manifest)!r}))"
+        f"fetch_dataset(urls=({server.url!r},), manifest=pathlib.Path({str(manifest)!r}))"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 10
@@ -293,7 +296,7 @@ def test_interrupt_ends_the_download_at_once_and_leaves_whole_files(server, mani
     assert time.monotonic() - started < 2  # the stalled server would hold it for 3
     assert process.returncode not in (0, None)
     assert errors.rstrip().endswith("KeyboardInterrupt")
-    assert only_whole_files(tmp_path / "cache", source)
+    assert only_whole_files(cache, source)
 
 
 # --- what is refused ------------------------------------------------------------------------------------
@@ -355,17 +358,19 @@ def test_no_network_is_found_out_fast_and_nothing_is_written(fetch, tmp_path):
     assert not (tmp_path / "cache").exists()
 
 
-def test_a_network_that_swallows_everything_is_found_out_in_time(fetch, server, tmp_path):
+def test_a_network_that_swallows_everything_is_found_out_in_time(fetch, server, tmp_path, monkeypatch):
+    monkeypatch.setattr(_download, "_PROBE_SECONDS", 0.3)
     server.greetings = ["stall"]
     started = time.monotonic()
-    refusal_of(NetworkUnavailable, lambda: fetch(probe_seconds=0.3), "127.0.0.1", "no answer within 0.3 s")
+    refusal_of(NetworkUnavailable, fetch, "127.0.0.1", "no answer within 0.3 s")
     assert time.monotonic() - started < 2
     assert not (tmp_path / "cache").exists()
 
 
-def test_a_read_that_takes_too_long_is_tried_again(fetch, server, source):
+def test_a_read_that_takes_too_long_is_tried_again(fetch, server, source, monkeypatch):
+    monkeypatch.setattr(_download, "_TIMEOUT_SECONDS", 0.3)
     server.script = {"full/train/a 11.png": ["stall"]}
-    assert contents(fetch(timeout_seconds=0.3)) == contents(source)
+    assert contents(fetch()) == contents(source)
     assert server.requests["full/train/a 11.png"] == 2
 
 
@@ -379,12 +384,13 @@ def test_a_changed_file_in_the_cache(fetch, server, source):
     assert path.read_bytes() == b"other"
 
 
-def test_a_cache_that_cannot_be_written(fetch, server, source, tmp_path):
-    (tmp_path / "file").write_text("x")
-    refusal_of(InputError, lambda: fetch(tmp_path / "file"), tmp_path / "file", "DC2G_CACHE")
-    (tmp_path / "cache").mkdir()
-    (tmp_path / "cache" / FOLDER_NAME).write_text("x")
-    refusal_of(InputError, fetch, tmp_path / "cache" / FOLDER_NAME, "DC2G_CACHE")
+def test_a_cache_that_cannot_be_written(fetch, cache, server, source):
+    cache.write_text("x")
+    refusal_of(InputError, fetch, cache, "DC2G_CACHE")
+    cache.unlink()
+    cache.mkdir()
+    (cache / FOLDER_NAME).write_text("x")
+    refusal_of(InputError, fetch, cache / FOLDER_NAME, "DC2G_CACHE")
 
 
 def test_a_cache_folder_that_may_not_be_created(fetch, tmp_path, monkeypatch):

@@ -38,6 +38,9 @@ _MANIFEST_NAME = "driveways_bing_iros19.sha256"
 #: Retries per file; pooch waits 1 s before the first and 2 s before the second.
 _RETRIES = 2
 
+#: Time for the server to answer before the network counts as unavailable, and for each answer after that.
+_PROBE_SECONDS, _TIMEOUT_SECONDS = 6.0, 10.0
+
 _REMEDY = "pass --dataset FOLDER (or set DC2G_DATA) with a copy of the dataset, or 'procedural'"
 
 
@@ -62,24 +65,12 @@ def matches_published(folder: Path) -> bool:
     )
 
 
-def fetch_dataset(
-    cache_dir: str | os.PathLike[str] | None = None,
-    *,
-    urls: Sequence[str] = URLS,
-    manifest: Path | None = None,
-    progress: bool = True,
-    probe_seconds: float = 6.0,
-    timeout_seconds: float = 10.0,
-) -> Path:
+def fetch_dataset(*, urls: Sequence[str] = URLS, manifest: Path | None = None) -> Path:
     """Return the folder of the published dataset, after downloading the files that the cache lacks.
 
     Args:
-        cache_dir: folder for downloads; None for `cache_folder()`.
         urls: addresses of the folder of files, tried in turn.
         manifest: file of checksums that lists the files; None for the package's manifest.
-        progress: whether to show a progress bar on the error stream.
-        probe_seconds: time for the server to answer before the network counts as unavailable.
-        timeout_seconds: time for each answer after that.
 
     Returns:
         The folder. Every file in it has been verified in this call.
@@ -90,14 +81,14 @@ def fetch_dataset(
             download is interrupted, or the cache folder cannot be read or written.
     """
     entries = read_manifest(manifest)
-    folder = (cache_folder() if cache_dir is None else Path(cache_dir)) / FOLDER_NAME
+    folder = cache_folder() / FOLDER_NAME
     try:
         missing = _missing(folder, entries)
         if missing:
             # The network is probed first, so that without it the cache is not touched.
             session = requests.Session()
-            _require_answer(session, urls[0], probe_seconds)
-            _download(session, folder, entries, missing, urls, progress, timeout_seconds)
+            _require_answer(session, urls[0])
+            _download(session, folder, entries, missing, urls)
     except OSError as error:
         raise InputError(
             f"{error.filename or folder}: cannot be used ({error.strerror or error}); set DC2G_CACHE to a folder that "
@@ -119,13 +110,11 @@ def _missing(folder: Path, entries: Mapping[str, str]) -> list[str]:
 
 
 def _download(
-    session: requests.Session, folder: Path, entries: Mapping[str, str], missing: Collection[str],
-    urls: Sequence[str], progress: bool, timeout: float,
-) -> None:  # fmt: skip
-
+    session: requests.Session, folder: Path, entries: Mapping[str, str], missing: Collection[str], urls: Sequence[str]
+) -> None:
     def fetch(url: str, file: str, _store: object) -> None:
         for base_url in urls:
-            answer = session.get(url.replace(urls[0], base_url), timeout=timeout)
+            answer = session.get(url.replace(urls[0], base_url), timeout=_TIMEOUT_SECONDS)
             if answer.status_code not in (404, 410):
                 break
         answer.raise_for_status()
@@ -139,7 +128,6 @@ def _download(
         desc="Downloading the DC2G houses",
         unit="file",
         file=sys.stderr,
-        disable=not progress,
     )
     try:
         with bar:
@@ -163,7 +151,7 @@ def _download(
         ) from None
 
 
-def _require_answer(session: requests.Session, url: str, seconds: float) -> None:
+def _require_answer(session: requests.Session, url: str) -> None:
     """Check that a server answers, with any status.
 
     The request runs on a thread, because name resolution and attempts at several addresses cannot be interrupted.
@@ -172,15 +160,15 @@ def _require_answer(session: requests.Session, url: str, seconds: float) -> None
 
     def ask() -> None:
         try:
-            answer.set_result(session.head(url, timeout=seconds))
+            answer.set_result(session.head(url, timeout=_PROBE_SECONDS))
         except requests.RequestException as error:
             answer.set_exception(error)
 
     threading.Thread(target=ask, name="dc2g-download-probe", daemon=True).start()
     try:
-        answer.result(seconds)
+        answer.result(_PROBE_SECONDS)
     except (TimeoutError, requests.Timeout):
-        reason = f"no answer within {seconds:g} s"
+        reason = f"no answer within {_PROBE_SECONDS:g} s"
     except requests.RequestException as error:
         reason = _words(error)
     else:
