@@ -182,7 +182,7 @@ def main(options: Options) -> None:
                 tell_on_stderr(f"Left out: house {house.name}: {reason}")
         results["paper"] = table.run(runner, starts, options.planner, network)
         entries["paper"] = results["paper"]
-        groups["paper"] = {house.name: group_of(house) or "test" for house in dataset.houses}
+        groups["paper"] = {house.name: group_of(house) for house in dataset.houses}
         tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS, groups["paper"])
         houses = len({start.house for start in starts})
         title = f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})"

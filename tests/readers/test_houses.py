@@ -192,7 +192,7 @@ def test_a_dataset_may_have_one_split_only(tmp_path):
         ("p004m000h000", "test", "urban"),
         ("n003m000h000", "test", "test"),
         ("x", "test", "test"),
-        ("x", "spare", None),
+        ("x", "spare", "spare"),
     ],
 )
 def test_groups(name, split, group):

@@ -34,7 +34,7 @@ def contact_pages(houses: Sequence[House]) -> list[list[Row]]:
     """Rows of houses by page. Houses are ordered by group and name."""
     by_group: dict[str, list[House]] = {group: [] for group in _GROUPS}
     for house in sorted(houses, key=lambda house: house.name):
-        by_group.setdefault(group_of(house) or house.split, []).append(house)
+        by_group.setdefault(group_of(house), []).append(house)
     rows: list[Row] = [
         ("" if first else f"{_GROUPS.get(group, group)}: {len(own)}", own[first : first + _COLUMNS])
         for group, own in by_group.items()

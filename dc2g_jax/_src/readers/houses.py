@@ -117,16 +117,13 @@ def stack_worlds(houses: Iterable[House]) -> World:
     return World.from_terrain(np.stack([house.terrain for house in houses], axis=-1))
 
 
-def group_of(house: House) -> str | None:
+def group_of(house: House) -> str:
     """Return the paper's category of a house (section IV).
 
-    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighborhood ?001, parts of
-    which are in the training split, 'new_neighborhood' in ?002, 'urban' in ?004, and 'test' elsewhere. None
-    for any other split.
+    Test houses are 'same_neighborhood' in neighborhood ?001, parts of which are in the training split,
+    'new_neighborhood' in ?002, 'urban' in ?004, and 'test' elsewhere. The category of others is their split.
     """
-    if house.split == "test":
-        return _TEST_GROUPS.get(house.neighborhood[1:], "test")
-    return house.split if house.split in SPLIT_FILES else None
+    return _TEST_GROUPS.get(house.neighborhood[1:], "test") if house.split == "test" else house.split
 
 
 def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> HouseDataset:

@@ -62,10 +62,8 @@ def main(options: Options) -> None:
     published = (
         {start.house: group for start, group, _ in published_episodes()} if dataset.source == "published" else {}
     )
-    group_by_house = {
-        house: published.get(house) or group_of(dataset.house(house)) or "test"
-        for house in {one.house for one in results}
-    }
+    houses = {one.house for one in results}
+    group_by_house = {house: published.get(house) or group_of(dataset.house(house)) for house in houses}
     for name in options.house:
         if name not in group_by_house:
             raise InputError(f"{options.episodes}: has no episode in {name}; give another --house")
