@@ -1,4 +1,4 @@
-"""Planners after other papers, each in a file of its own. They are registered by name as plug-ins."""
+"""Planners after other papers, which are registered by name as plug-ins."""
 
 import lazy_loader
 

@@ -21,16 +21,18 @@ from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import rollout
-from dc2g_jax.rivals.cost_utility import CostUtility
-from dc2g_jax.rivals.frontier_potential import FrontierPotential
-from dc2g_jax.rivals.hysteresis import Hysteresis
 from dc2g_jax.rivals.learned_subgoals import chances, expected_costs
-from dc2g_jax.rivals.next_best_view import NextBestView
-from dc2g_jax.rivals.random_frontier import RandomFrontier
 from dc2g_jax.rivals.regions import MOST_REGIONS, find_regions
 from dc2g_jax.rivals.right_hand import RightHand
 from dc2g_jax.rivals.sampled_goals import rollout_costs, sampled_cells
-from dc2g_jax.rivals.visible_uncertainty import VisibleUncertainty
+from dc2g_jax.rivals.scores import (
+    CostUtility,
+    FrontierPotential,
+    Hysteresis,
+    NextBestView,
+    RandomFrontier,
+    VisibleUncertainty,
+)
 from tests.oracles import numpy_gridworld as oracle
 from tests.planning.test_planners import scattered
 from tests.support.exploration import SENSING, Scattered, belief_of, random_moment, random_worlds
