@@ -2,26 +2,28 @@
 
 import dataclasses
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
+import jax
 import numpy as np
 import tyro
+from jaxtyping import Array, UInt8
 from tqdm import tqdm
 
 from dc2g_jax import commands
 from dc2g_jax.datasets import check_starts, open_dataset
 from dc2g_jax.estimation import world_cost_to_go
-from dc2g_jax.grid import UNKNOWN, World, make_pose
+from dc2g_jax.grid import FRONT_DOOR, UNKNOWN, Pose, World, every_heading, first_action, make_pose, moved
 from dc2g_jax.inspection import plot_map
 from dc2g_jax.robot.mapping import sequences
-from dc2g_jax.robot.mapping.camera import intrinsics
-from dc2g_jax.robot.mapping.scene import CELL_SIZE
+from dc2g_jax.robot.mapping.camera import Frame, Intrinsics, intrinsics
+from dc2g_jax.robot.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.robot.mapping.semantic_map import MapSettings
-from dc2g_jax.robot.mapping.simulated_drives import path_to_goal, simulated_shots
-from dc2g_jax.robot.mapping.simulator import FIELD_OF_VIEW
+from dc2g_jax.robot.mapping.simulator import FIELD_OF_VIEW, picture, render, robot_camera
 from dc2g_jax.robot.recording import record_mapping
-from dc2g_jax.runtime import InputError, check_number
+from dc2g_jax.runtime import InputError, check_number, jit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,3 +96,32 @@ def main(options: Options) -> None:
     if house is not None and np.any(known):
         print(f"of the known cells, {100 * np.mean((terrain == house.terrain)[known]):.1f} % are as in the house")
     commands.print_files(out)
+
+
+def path_to_goal(terrain: UInt8[np.ndarray, "h w"], start: Pose) -> list[Pose]:
+    """The poses of a shortest path from a start to the nearest goal, one per step. A path must exist."""
+    world = World.from_terrain(terrain)
+
+    @jit
+    def step(pose: Pose) -> Pose:
+        action = first_action(pose, every_heading(world.goals), world.traversable).action
+        return moved(pose, action, *terrain.shape)
+
+    path = [start]
+    while terrain[path[-1].y, path[-1].x] != FRONT_DOOR:
+        path.append(step(path[-1]))
+    return path
+
+
+def simulated_shots(
+    terrain: UInt8[np.ndarray, "h w"], path: Iterable[Pose], camera: Intrinsics, cell_size: float
+) -> Iterator[sequences.Shot]:
+    """What a simulated camera sees from each pose of a path on a map with cells of `cell_size` meters."""
+    scene = scene_from_terrain(terrain, cell_size)
+
+    @jit
+    def look(robot: Pose) -> tuple[Frame, Array]:
+        pose = robot_camera(robot, cell_size)
+        return render(scene, camera, pose), picture(scene, camera, pose)
+
+    return (sequences.Shot(*jax.device_get(look(pose))) for pose in path)

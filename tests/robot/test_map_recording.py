@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax.robot import map_recording
 from dc2g_jax.robot.mapping.sequences import read_sequence
 from tests.support.maps import drawn
@@ -35,6 +36,14 @@ def simulated(yards, tmp_path_factory):
         map_recording.Options(simulate="yard", dataset=str(yards), start=(0, 4, 0), image_size=(64, 48), out=out)
     )
     return out
+
+
+def test_the_path_to_the_goal_is_the_shortest():
+    path = map_recording.path_to_goal(YARD, make_pose(0, 4, 0))
+    assert [(int(pose.x), int(pose.y)) for pose in path] == [
+        *((x, 4) for x in range(5)), *((4, y) for y in range(4, -1, -1)),
+    ]  # fmt: skip
+    assert [int(pose.heading) for pose in path] == [0] * 5 + [3] * 5
 
 
 def test_a_simulated_drive_is_written_and_mapped(simulated):
