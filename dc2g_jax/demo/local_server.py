@@ -2,9 +2,10 @@
 
 import re
 import secrets
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -55,11 +56,9 @@ class OwnOriginOnly:
     def __init__(self, app: ASGIApp, *, token: str, port: int):
         self.app, self._token, self._cookie = app, token.encode(), f"dc2g_token_{port}"
 
-    def _knows_token(self, scope: Scope, headers: Headers) -> bool:
+    def _knows_token(self, request: HTTPConnection) -> bool:
         """Whether a request has the token in its address or its cookie."""
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-        cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
-        given += [value for name, _, value in cookies if name == self._cookie]
+        given = request.query_params.get("token", ""), request.cookies.get(self._cookie, "")
         return any(secrets.compare_digest(one.encode(), self._token) for one in given)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -76,12 +75,12 @@ class OwnOriginOnly:
                     MutableHeaders(scope=message).append("set-cookie", cookie)
             await send(message)
 
-        headers = Headers(scope=scope)
-        origin = headers.get("origin")
+        request = HTTPConnection(scope)
+        headers, origin = request.headers, request.headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != headers.get("host"):
             return await PlainTextResponse("pages of other origins are refused", 403)(scope, receive, answer)
         if self._token:
-            if not self._knows_token(scope, headers):
+            if not self._knows_token(request):
                 refused = "open the address with ?token= that dc2g demo has printed"
                 return await PlainTextResponse(refused, 403)(scope, receive, answer)
             cookie = f"{self._cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
