@@ -185,11 +185,7 @@ class Demo:
     def sample_start(self, seed: int) -> None:
         """Place the robot at random where a door can be reached; if there is no such place, on traversable ground."""
         starts = datasets.sample_starts([datasets.House("map", "val", self.terrain)], 1, seed=seed)
-        y, x = (
-            np.argwhere(grid.TRAVERSABLE[self.terrain])[:1].tolist()[0]
-            if grid.TRAVERSABLE[self.terrain].any()
-            else (0, 0)
-        )
+        y, x = (np.argwhere(grid.TRAVERSABLE[self.terrain]).tolist() or [[0, 0]])[0]
         self.start = planning.RobotPose(*starts[0][1:4]) if starts else planning.RobotPose(x, y, 0)
         self.walks = {}
 
