@@ -151,14 +151,9 @@ class StreetPoints:
     main: Bool[np.ndarray, "n"]
 
     @functools.cached_property
-    def main_streets(self) -> "StreetPoints":
-        """Those of streets."""
-        return self.where(self.main)
-
-    @functools.cached_property
-    def alleys(self) -> "StreetPoints":
-        """Those of alleys and other service roads."""
-        return self.where(~self.main)
+    def by_kind(self) -> tuple["StreetPoints", "StreetPoints"]:
+        """Those of streets, and those of alleys and other service roads."""
+        return self.where(self.main), self.where(~self.main)
 
     @functools.cached_property
     def _tree(self) -> spatial.KDTree:
@@ -213,8 +208,7 @@ class Site:
     def at(self, points: Points) -> np.ndarray:
         """Classes at points [n 2]; house beyond the edge."""
         x, y = self.view.to_pixels(points).T
-        inside = (x >= 0) & (y >= 0) & (x < self.view.width) & (y < self.view.height)
-        return np.where(inside, self.classes[np.where(inside, y, 0), np.where(inside, x, 0)], HOUSE)
+        return np.asarray(ndimage.map_coordinates(self.classes, [y, x], order=0, cval=HOUSE))
 
     def clear(self, start: Points, end: Points) -> bool:
         """Whether nothing stands between two points [2]."""
@@ -266,7 +260,7 @@ def _front_of(site: Site, rng: np.random.Generator) -> int | None:
     """
     address, streets = site.building.tags.get("addr:street", ""), site.streets
     of_address = streets.where((streets.names == address) & bool(address))
-    for chosen in (of_address, streets.main_streets, streets.alleys):
+    for chosen in (of_address, *streets.by_kind):
         if len(chosen.points):
             distance, facing = _views(site, chosen)
             if np.any(facing):
