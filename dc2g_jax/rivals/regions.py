@@ -70,11 +70,10 @@ def find_regions(belief: Belief, situation: Situation, cost: Float[Array, "h w *
         left = left & ~bitboard.flood(seed, left | bitboard.neighbors(left))
     present, x, y = (jnp.stack(values) for values in zip(*found, strict=True))
     actions = jnp.min(jnp.where(situation.distance >= 0, situation.distance, situation.distance.size), axis=0)
-    regions = Regions(present, x, y, jnp.zeros(x.shape), jnp.zeros((MOST_REGIONS, *x.shape)))
     # One search for all regions: their axis is the last of the batch.
     last = [jnp.moveaxis(values, 0, -1) for values in (x, y)]
     ground = jnp.broadcast_to(situation.reachable[..., None], (*situation.reachable.shape, MOST_REGIONS))
     ways = search.distances(Pose(last[0], last[1], jnp.zeros_like(last[0])), ground, belief.width)
     ways = jnp.min(jnp.where(ways >= 0, ways, situation.distance.size), axis=0)
-    between = jnp.stack([regions.at(ways[..., number]) for number in range(MOST_REGIONS)])
-    return regions._replace(start=regions.at(actions).astype(jnp.float32), between=between.astype(jnp.float32))
+    between = jnp.stack([at_cells(ways[..., number], x, y) for number in range(MOST_REGIONS)])
+    return Regions(present, x, y, at_cells(actions, x, y).astype(jnp.float32), between.astype(jnp.float32))
