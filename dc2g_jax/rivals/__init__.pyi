@@ -1,6 +1,5 @@
 """The public names and the modules that define them; `__init__.py` imports each when it is first used."""
 
-from .learned_subgoals import LearnedSubgoals as LearnedSubgoals
 from .recurrent_policy import (
     PolicyInputs as PolicyInputs,
     RecurrentNetwork as RecurrentNetwork,
@@ -8,7 +7,6 @@ from .recurrent_policy import (
     read_policy as read_policy,
 )
 from .right_hand import RightHand as RightHand
-from .sampled_goals import SampledGoals as SampledGoals
 from .scores import (
     CostUtility as CostUtility,
     FrontierPotential as FrontierPotential,
@@ -17,3 +15,4 @@ from .scores import (
     RandomFrontier as RandomFrontier,
     VisibleUncertainty as VisibleUncertainty,
 )
+from .subgoals import LearnedSubgoals as LearnedSubgoals, SampledGoals as SampledGoals

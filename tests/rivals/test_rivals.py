@@ -21,10 +21,7 @@ from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rollouts.results import action_letters
 from dc2g_jax._src.rollouts.rollout import rollout
-from dc2g_jax.rivals.learned_subgoals import chances, expected_costs
-from dc2g_jax.rivals.regions import MOST_REGIONS, find_regions
 from dc2g_jax.rivals.right_hand import RightHand
-from dc2g_jax.rivals.sampled_goals import rollout_costs, sampled_cells
 from dc2g_jax.rivals.scores import (
     CostUtility,
     FrontierPotential,
@@ -32,6 +29,15 @@ from dc2g_jax.rivals.scores import (
     NextBestView,
     RandomFrontier,
     VisibleUncertainty,
+)
+from dc2g_jax.rivals.subgoals import (
+    MOST_REGIONS,
+    Regions,
+    chances,
+    expected_costs,
+    find_regions,
+    rollout_costs,
+    sampled_cells,
 )
 from tests.oracles import numpy_gridworld as oracle
 from tests.planning.test_planners import scattered
@@ -213,30 +219,32 @@ def test_episodes_of_the_right_hand_rule():
 
 
 def random_regions(rng, count):
-    """Costs of subgoals, of which some may be missing."""
+    """Regions of which some may be missing: start, between and present as arrays of NumPy, and all together."""
     present = rng.random(count) < 0.8
     present[0] = True
-    return rng.random(count) * 9, rng.random((count, count)) * 9, present
+    start, between = rng.random(count) * 9, rng.random((count, count)) * 9
+    costs = (jnp.asarray(one, jnp.float32) for one in (start, between))
+    return start, between, present, Regions(jnp.asarray(present), None, None, *costs)
 
 
 def test_bellmans_recursion_finds_the_best_of_all_orders():
     rng = np.random.default_rng(1)
     for _ in range(10):
-        start, between, present = random_regions(rng, 4)
-        success, gain, loss = rng.random(4), rng.random(4) * 9, rng.random(4) * 9
+        start, between, present, regions = random_regions(rng, 4)
+        success, gain, loss = rng.random(4), rng.random(4) * 9, rng.random() * 9
 
         def cost_of(order, start=start, between=between, success=success, gain=gain, loss=loss):
             cost, reached = 0.0, 1.0
             for before, one in zip((None, *order), order, strict=False):
                 way = start[one] if before is None else between[before, one]
-                cost += reached * (way + success[one] * gain[one] + (1 - success[one]) * loss[one])
+                cost += reached * (way + success[one] * gain[one] + (1 - success[one]) * loss)
                 reached *= 1 - success[one]
             return cost
 
         orders = list(itertools.permutations(np.flatnonzero(present)))
         expected = [min([cost_of(order) for order in orders if order[0] == one], default=np.inf) for one in range(4)]
-        arguments = (jnp.asarray(one, jnp.float32) for one in (start, between, success, gain, loss))
-        np.testing.assert_allclose(expected_costs(*arguments, jnp.asarray(present)), expected, rtol=1e-5)
+        success, gain = (jnp.asarray(one, jnp.float32) for one in (success, gain))
+        np.testing.assert_allclose(expected_costs(regions, success, gain, loss), expected, rtol=1e-5)
 
 
 def test_chances_count_the_combinations_in_which_a_region_is_best():
@@ -251,7 +259,7 @@ def test_chances_count_the_combinations_in_which_a_region_is_best():
 def test_rollouts_are_searches_by_hand():
     rng = np.random.default_rng(2)
     for _ in range(10):
-        start, between, present = random_regions(rng, 5)
+        start, between, present, regions = random_regions(rng, 5)
         there = rng.random((6, 5)) * 9
         expected = np.full(5, np.inf)
         for first in np.flatnonzero(present):
@@ -264,8 +272,8 @@ def test_rollouts_are_searches_by_hand():
                     cost, here = cost + 3 + between[here, following], following
                 costs.append(cost + goal[here])
             expected[first] = np.mean(costs)
-        arguments = (jnp.asarray(one, jnp.float32) for one in (start, between, there))
-        np.testing.assert_allclose(rollout_costs(*arguments, 3.0, jnp.asarray(present)), expected, rtol=1e-5)
+        found = rollout_costs(regions, jnp.asarray(there, jnp.float32), 3.0)
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_samples_are_in_proportion_to_their_weights():
