@@ -90,18 +90,15 @@ def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
 
     Cells keep their positions.
     """
-
-    def padded(name: str) -> list[np.ndarray]:
-        leaves = [getattr(world, name) for world in worlds]
-        most, beyond = np.max([leaf.shape for leaf in leaves], axis=0), -1 if name == "instances" else 0
-        return [np.pad(leaf, [(0, size) for size in most - leaf.shape], constant_values=beyond) for leaf in leaves]
-
     names = [field.name for field in dataclasses.fields(IndoorWorld) if field.name != "cell_size"]
-    columns = zip(*map(padded, names), strict=True)
-    return [
-        dataclasses.replace(world, **dict(zip(names, leaves, strict=True)))
-        for world, leaves in zip(worlds, columns, strict=True)
-    ]
+    most = {name: np.max([getattr(world, name).shape for world in worlds], axis=0) for name in names}
+
+    def padded(world: IndoorWorld, name: str) -> np.ndarray:
+        leaf = getattr(world, name)
+        margins = [(0, size) for size in most[name] - leaf.shape]
+        return np.pad(leaf, margins, constant_values=-1 if name == "instances" else 0)
+
+    return [dataclasses.replace(world, **{name: padded(world, name) for name in names}) for world in worlds]
 
 
 def _distance_to(cells: Bool[np.ndarray, "h w"], cell_size: float) -> Float[np.ndarray, "h w"]:
