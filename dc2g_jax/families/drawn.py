@@ -16,12 +16,6 @@ Free = Bool[np.ndarray, "h w"]
 _LEAST_FREE = 0.06
 
 
-def _box(free: Free, rng: np.random.Generator, least: int, most: int, value: bool) -> None:
-    """Set a rectangle of random position and size."""
-    (row, column), (down, across) = rng.integers(len(free), size=2), rng.integers(least, most, size=2)
-    free[row : row + down, column : column + across] = value
-
-
 def _enlarged(draw: Callable[[np.random.Generator], Free]) -> Callable[[np.random.Generator, int], Free]:
     """Maps of 50 cells a side, enlarged: each cell becomes a square of several."""
 
@@ -65,7 +59,8 @@ def draw_rooms(rng: np.random.Generator, side: int) -> Free:
 
     divide(1, 1, side - 1, side - 1, 0)
     for _ in range(int(rng.integers(0, 30) * (side / 50) ** 2)):
-        _box(free, rng, 1, 4, False)
+        (row, column), (down, across) = rng.integers(side, size=2), rng.integers(1, 4, size=2)
+        free[row : row + down, column : column + across] = False
     return free
 
 
