@@ -21,7 +21,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int8, Int32, UInt, UInt8
 
-from dc2g_jax.grid import CLASS_BITS, CLASS_NAMES, NOTHING, UNKNOWN
+from dc2g_jax.grid import CLASS_BITS, CLASS_NAMES, NOTHING, UNKNOWN, shifted
 from dc2g_jax.robot.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes, points, rays
 from dc2g_jax.runtime import InputError
 
@@ -232,10 +232,8 @@ def _looked_through(
 
 
 def _nearest_around(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    height, width = depth.shape
-    padded = jnp.pad(depth, 1, constant_values=jnp.inf)
-    in_row = functools.reduce(jnp.minimum, [padded[:, column : column + width] for column in range(3)])
-    return functools.reduce(jnp.minimum, [in_row[row : row + height] for row in range(3)])
+    in_row = functools.reduce(jnp.minimum, (shifted(depth, offset, 0, jnp.inf) for offset in (-1, 0, 1)))
+    return functools.reduce(jnp.minimum, (shifted(in_row, 0, offset, jnp.inf) for offset in (-1, 0, 1)))
 
 
 def _updated(
