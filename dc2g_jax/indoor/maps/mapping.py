@@ -242,14 +242,9 @@ def mark_explored(
     middles = (cells[..., ::-1] + 0.5) * jnp.array([1, -1], jnp.float32) * settings.cell_size
     covered = jnp.linalg.norm(middles - position, axis=-1) <= radius
     row, column = jnp.moveaxis(cells - indoor_map.origin, -1, 0)
-    inside = covered & (row >= 0) & (column >= 0)
-    before = indoor_map.cells.at[row, column].get(mode="clip")
-    return dataclasses.replace(
-        indoor_map,
-        cells=indoor_map.cells.at[jnp.where(inside, row, settings.cells), column].set(
-            before | jnp.uint32(1 << EXPLORED_CHANNEL), mode="drop"
-        ),
-    )
+    marked = indoor_map.cells.at[row, column].get(mode="clip") | jnp.uint32(1 << EXPLORED_CHANNEL)
+    there = indoor_map.cells.at[jnp.where(covered, row, settings.cells), column]
+    return dataclasses.replace(indoor_map, cells=there.set(marked, mode="drop", wrap_negative_indices=False))
 
 
 def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[Array, "side side"]:
@@ -265,10 +260,8 @@ def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[
 
 def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond: float) -> Shaped[Array, "side side"]:
     """The square of a grid from row and column `first` on; cells off the grid have the value `beyond`."""
-    height, width = grid.shape
     rows, columns = first[:, None] + jnp.arange(side)
-    inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
-    return jnp.where(inside, grid.at[rows[:, None], columns].get(mode="clip"), jnp.asarray(beyond, grid.dtype))
+    return grid.at[rows[:, None], columns].get(mode="fill", fill_value=beyond, wrap_negative_indices=False)
 
 
 def network_maps(cells: UInt32[Array, "n n"], local: int) -> Float[Array, "36 local local"]:

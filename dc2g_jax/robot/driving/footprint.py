@@ -50,10 +50,8 @@ def cell_centers(cells: Int[Array, "*n 2"], cell_size: float) -> Float[Array, "*
 
 def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
     """Whether the footprint is allowed on these cells (column and row)."""
-    height, width = ground.cells.shape
-    column, row = cells[..., 0], cells[..., 1]
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    return inside & ground.cells[jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)]
+    there = ground.cells.at[cells[..., 1], cells[..., 0]]
+    return there.get(mode="fill", fill_value=False, wrap_negative_indices=False)
 
 
 def blocked_around(ground: Ground, position: Float[Array, "2"], reach: float) -> BlockedCells:
