@@ -28,11 +28,12 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.results import EpisodeResult, Table, tabulate
+from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.viewer.recording import record_episode
 from experiments.support.bars import TITLES, plot_extra_steps
+from experiments.support.groups import Table, tabulate
 from experiments.support.published import PUBLISHED_GROUPS, authors_results, group_by_house, run_published
 
 

@@ -18,8 +18,8 @@ from dc2g_jax._src.figures.results_figures import (
     planner_styles,
     save_figure,
 )
-from dc2g_jax._src.rollouts.results import Table
 from dc2g_jax._src.runtime.errors import InputError
+from experiments.support.groups import Table
 
 #: Titles of figures by settings.
 TITLES = {"published": "The 400 published episodes, 5-cell sensing", "paper": "Sampled starts, 8-cell sensing"}

@@ -1,7 +1,7 @@
 """Results of episodes: one row each, and many of them as rows, as arrays and as summaries."""
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,9 +17,6 @@ from dc2g_jax._src.runtime.errors import check_name, short
 
 #: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
 _ROUNDING = 0.1
-
-#: Planner -> group of houses -> summary, see `summarize`.
-Table = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
 class EpisodeResult(NamedTuple):
@@ -112,9 +109,11 @@ class Results(tuple[EpisodeResult, ...]):
     def summary(self) -> dict[str, Mapping[str, float]]:
         """For each planner `mean_extra`, `median_extra`, `quartile_25` and `quartile_75`, extra steps in percent;
         `success`, 0 to 1; the number of `episodes`; and `mean_low` and `mean_high`, the 95 % interval of the mean over
-        houses.
+        houses. Episodes from whose start no goal can be reached are left out.
         """
-        return {planner: row["all"] for planner, row in tabulate(self, ("all",)).items()}
+        reachable = Results(one for one in self if one.extra is not None)
+        extra, success, houses = map(reachable.array, ("extra", "success", "house"))
+        return {planner: summarize(extra[planner], success[planner], houses[planner].tolist()) for planner in extra}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""
@@ -123,28 +122,6 @@ class Results(tuple[EpisodeResult, ...]):
     def __str__(self) -> str:
         """See `as_text`."""
         return as_text(self.summary())
-
-
-def tabulate(
-    results: Iterable[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str] | None = None
-) -> Table:
-    """Summary by planner and group of houses; the last of the groups holds all episodes.
-
-    Episodes from whose start no goal can be reached are left out.
-    """
-    cells: dict[str, dict[str, list[EpisodeResult]]] = {}
-    for one in results:
-        for group in {(group_by_house or {}).get(one.house, groups[-1]), groups[-1]}:
-            if one.extra is not None:
-                cells.setdefault(one.planner, {}).setdefault(group, []).append(one)
-    return {
-        planner: {
-            group: summarize(*zip(*((one.extra, one.success, one.house) for one in own[group]), strict=True))
-            for group in groups
-            if group in own
-        }
-        for planner, own in cells.items()
-    }
 
 
 def as_text(table: Mapping[str, Mapping[str, float]]) -> str:

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from dc2g_jax._src.readers.starts import published_episodes
-from dc2g_jax._src.rollouts.results import EpisodeResult, tabulate
+from dc2g_jax._src.rollouts.results import EpisodeResult
+from experiments.support.groups import tabulate
 from experiments.support.published import (
     PUBLISHED_GROUPS,
     EpisodePair,
