@@ -99,14 +99,9 @@ def fake_training_set(houses, n_own, masks) -> TrainingSet:
     return TrainingSet(terrain, np.zeros(terrain.shape, np.float32), masks.boards, world, np.int32(len(world)))
 
 
-class FakeValidation:
-    """Stands in for `Validation`, whose figures depend on the weights."""
-
-    def __init__(self, dataset, drawn=0, progress=None):
-        pass
-
-    def figures(self, estimator) -> dict[str, float]:
-        return {"mean_extra": float(np.sum(jax.tree.leaves(estimator.weights)[0]))}
+def fake_episodes_to_validate(dataset, progress) -> Callable[[Any], dict[str, float]]:
+    """Stands in for `episodes_to_validate`; the figures depend on the weights."""
+    return lambda estimator: {"mean_extra": float(np.sum(jax.tree.leaves(estimator.weights)[0]))}
 
 
 def fake_figure(path, *args, **options) -> list[Path]:
@@ -241,8 +236,9 @@ def _steps(patch: pytest.MonkeyPatch) -> None:
 
 def _training(patch: pytest.MonkeyPatch) -> None:
     _steps(patch)
-    patch.setattr(training, "Validation", FakeValidation)
-    patch.setattr(training, "validation_pairs", lambda *args, **options: None)
+    patch.setattr(training, "episodes_to_validate", fake_episodes_to_validate)
+    for module in (training, sweeps):
+        patch.setattr(module, "validation_pairs", lambda *args, **options: None)
     patch.setattr(cost_to_go_data, "observation_masks", fake_masks)
     patch.setattr(cost_to_go_data, "training_set", fake_training_set)
 

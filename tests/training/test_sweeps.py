@@ -332,8 +332,8 @@ def test_a_sweep_gives_arrays_and_goes_on_where_it_was(tmp_path):
 
 
 def test_a_loss_of_ones_own_that_was_edited_is_not_gone_on_with(tmp_path, monkeypatch):
-    for name in ("pairs_to_validate", "open_training_set"):
-        monkeypatch.setattr(sweeps, name, lambda *args: None)
+    for name in ("validation_pairs", "open_training_set"):
+        monkeypatch.setattr(sweeps, name, lambda *args, **options: None)
     monkeypatch.setattr(sweeps, "train_runs", mock.Mock(side_effect=KeyboardInterrupt))
 
     def begin_with(bend):

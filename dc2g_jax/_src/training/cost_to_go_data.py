@@ -2,11 +2,11 @@
 
 import dataclasses
 import functools
+import itertools
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from dc2g_jax._src.grid.sensing import PAPER_DEGREES, check_degrees, check_sensi
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset, stack_worlds, tell_on_stderr
-from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
+from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.runtime.errors import InputError, check_number, short
 from dc2g_jax._src.runtime.plugins import plugins
@@ -34,8 +34,8 @@ from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, jitt
 #: Seed of the procedural validation houses. Seeds of training must be below it.
 _VALIDATION_SEED = 10_000
 
-#: Sensing ranges of the robots of the validation pairs, in cells.
-_VALIDATION_RANGES = (5, 8)
+#: Number of validation pairs, and sensing ranges of their robots, in cells.
+VALIDATION_PAIRS, _VALIDATION_RANGES = 256, (5, 8)
 
 #: Least number of worlds that robots are run in: there are copies of the last one.
 _LEAST_WORLDS = 64
@@ -148,17 +148,6 @@ def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> 
     return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
 
 
-def _require_squares(own: list[House], drawn: int) -> None:
-    """Check that procedural houses, if there are any, can be combined with a dataset's."""
-    height, width = own[0].terrain.shape
-    if drawn and height != width:
-        raise InputError(
-            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
-            "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) or "
-            "--no-episodes (sweeps)"
-        )
-
-
 def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: bool) -> None:
     """Check quickly, before anything is written, that a dataset can be trained on.
 
@@ -171,20 +160,24 @@ def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: b
     Raises:
       InputError: no episode can be run in the houses of a split, or procedural houses cannot be combined with them.
     """
-    _require_squares(usable_houses(dataset, "train"), extra)
-    if validated:
-        _require_squares(usable_houses(dataset, "val"), int(drawn))
+    for split, beside in (("train", extra > 0), *([("val", drawn)] if validated else [])):
+        house = usable_houses(dataset, split)[0]
+        height, width = house.terrain.shape
+        if beside and height != width:
+            raise InputError(
+                f"{house.name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
+                "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) "
+                "or --no-episodes (sweeps)"
+            )
 
 
 def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
-    """Houses of a dataset, followed by procedural ones on a grid of the same size.
+    """Houses of a dataset, which have to be square, followed by procedural ones of the same size.
 
     Raises:
-      InputError: a house of the dataset is not square or has the name of a procedural house.
+      InputError: a house of the dataset has the name of a procedural house.
     """
-    _require_squares(own, count)
-    height = own[0].terrain.shape[0]
-    drawn = drawn_houses(prefix, own[0].split, count, seed, height)
+    drawn = drawn_houses(prefix, own[0].split, count, seed, len(own[0].terrain))
     taken = {house.name for house in drawn}
     for house in own:
         if house.name in taken:
@@ -360,7 +353,7 @@ def open_training_set(
     return data
 
 
-def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
+def validation_pairs(dataset: HouseDataset, *, count: int = VALIDATION_PAIRS, edge_weight: float) -> Pair:
     """Validation pairs, the same in every run: half from the dataset's validation houses, half from procedural ones.
 
     Procedural houses are square. If the dataset's maps are not, all pairs are from the dataset.
@@ -382,44 +375,37 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
     return jit(functools.partial(config.draw_batch, batch_size=count))(jax.random.key(0), data)
 
 
-class Validation:
+def episodes_to_validate(
+    dataset: HouseDataset, progress: Callable[[str, int, int], None]
+) -> Callable[[Estimator], dict[str, float]]:
     """Episodes in validation houses: those of the dataset, and procedural ones that are not used in training.
 
     Args:
       dataset: dataset of the validation houses.
-      drawn: number of procedural houses.
       progress: see `rollouts.evaluation.Runner`.
 
+    Returns:
+      A function of an estimator: mean and median extra steps of planner `dc2g` in percent, for 5-cell (`published`) and
+      8-cell sensing (`paper`). `mean_extra`, the mean of the four means, is the figure for model selection.
+
     Raises:
-      InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or procedural
-        houses cannot be combined with the dataset's.
+      InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or a house
+        has the name of a procedural house.
     """
+    own = usable_houses(dataset, "val")
+    houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", 64, _VALIDATION_SEED)))
+    runners = {name: Runner(houses, SETTINGS[name], progress=progress) for name in ("published", "paper")}
+    starts = {"own": sample_starts(own, 20, seed=0), "procedural": sample_starts(houses.houses[len(own) :], 3, seed=0)}
+    for runner, some in itertools.product(runners.values(), starts.values()):
+        runner.run(some, ["oracle"])  # cached for later; raises before any training
 
-    def __init__(self, dataset: HouseDataset, drawn: int = 64, progress: Callable[[str, int, int], None] | None = None):
-        own = usable_houses(dataset, "val")
-        houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", drawn, _VALIDATION_SEED)))
-        self._runners = {name: Runner(houses, SETTINGS[name], progress=progress) for name in ("published", "paper")}
-        self._starts: Mapping[str, list[Start]] = {
-            "own": sample_starts(own, 20, seed=0),
-            "procedural": sample_starts(houses.houses[len(own) :], 3, seed=0),
-        }
-        for runner in self._runners.values():
-            for starts in self._starts.values():
-                runner.run(starts, ["oracle"])  # cached for later; raises before any training
+    def figures(estimator: Estimator) -> dict[str, float]:
+        found: dict[str, float] = {}
+        for (settings, runner), (kind, some) in itertools.product(runners.items(), starts.items()):
+            extra = np.array([result.extra for result in runner.run(some, ["dc2g"], estimator)])
+            found[f"{settings}_{kind}_mean_extra"] = float(extra.mean())
+            found[f"{settings}_{kind}_median_extra"] = float(np.median(extra))
+        found["mean_extra"] = float(np.mean([value for name, value in found.items() if name.endswith("mean_extra")]))
+        return {name: round(value, 2) for name, value in found.items()}
 
-    def figures(self, estimator: Estimator, planner: str = "dc2g") -> dict[str, float]:
-        """Mean and median extra steps of a planner in percent, for 5-cell (`published`) and 8-cell sensing (`paper`).
-
-        `mean_extra`, the mean of the four means, is the figure for model selection.
-        """
-        figures: dict[str, Any] = {}
-        for settings, runner in self._runners.items():
-            for houses, starts in self._starts.items():
-                results = runner.run(starts, [planner], estimator)
-                extra = np.array([result.extra for result in results])
-                figures[f"{settings}_{houses}_mean_extra"] = float(extra.mean())
-                figures[f"{settings}_{houses}_median_extra"] = float(np.median(extra))
-        figures["mean_extra"] = float(
-            np.mean([value for name, value in figures.items() if name.endswith("mean_extra")])
-        )
-        return {name: round(value, 2) for name, value in figures.items()}
+    return figures

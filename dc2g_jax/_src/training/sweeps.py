@@ -25,20 +25,11 @@ from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.evaluation import evaluate
 from dc2g_jax._src.runtime.errors import InputError, check_number, short
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, open_training_set
+from dc2g_jax._src.training.cost_to_go_data import VALIDATION_PAIRS, DataConfig, open_training_set, validation_pairs
 from dc2g_jax._src.training.loop import PAUSES, Log, Pauses
 from dc2g_jax._src.training.losses import LOSSES, Loss, checked_loss, losses_as_text, parse_losses
 from dc2g_jax._src.training.tracking import TrackerName
-from dc2g_jax._src.training.train import (
-    PAIRS,
-    Picture,
-    Plan,
-    checked,
-    error_on,
-    finished_network,
-    pairs_to_validate,
-    train_runs,
-)
+from dc2g_jax._src.training.train import Picture, Plan, checked, error_on, finished_network, train_runs
 
 #: Losses by name or as weighted sums, see `parse_losses`; functions, perhaps with names; or functions and sums by name.
 LossSources = Iterable[str | Loss | tuple[str, Loss]] | Mapping[str, str | Loss]
@@ -269,7 +260,13 @@ def sweep(
     turns = [plan._replace(runs={run: plan.runs[run] for run in turn}) for turn in grouped]
     if begin is not None:
         begin()
-    opened = functools.cache(lambda: (pairs_to_validate(plan), open_training_set(out, plan.dataset, plan.data)))
+    # Pairs first: they raise for unsuitable houses before minutes of data collection.
+    opened = functools.cache(
+        lambda: (
+            validation_pairs(plan.dataset, edge_weight=plan.data.edge_weight),
+            open_training_set(out, plan.dataset, plan.data),
+        )
+    )
     networks: dict[str, NetworkCostToGo] = {}
 
     def validate(network: NetworkCostToGo, step: int) -> dict[str, float]:
@@ -330,4 +327,4 @@ def _result(
     )
     steps = np.array(sorted(set.intersection(*(set(log) for log in logs.values()))))
     curves = np.array([[log[step]["error"] for step in steps] for log in logs.values()])
-    return Sweep(table, steps, curves, networks, f"{plan.dataset.name}; errors on {PAIRS} validation pairs")
+    return Sweep(table, steps, curves, networks, f"{plan.dataset.name}; errors on {VALIDATION_PAIRS} validation pairs")

@@ -34,8 +34,8 @@ from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, least_memory, validation_error
 from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,
-    Validation,
     check_houses,
+    episodes_to_validate,
     open_training_set,
     validation_pairs,
 )
@@ -45,8 +45,8 @@ from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.score import ScoreConfig, learn_score
 from dc2g_jax._src.training.tracking import Image, TrackerName, check_tracker, run_folder
 
-#: Steps between episodes in validation houses, and number of validation pairs.
-EPISODES_EVERY, PAIRS = 16_000, 256
+#: Steps between episodes in validation houses.
+EPISODES_EVERY = 16_000
 
 #: Makes a picture of a network's predictions for a tracker.
 Picture = Callable[[NetworkCostToGo], Image]
@@ -198,11 +198,6 @@ def train_runs(
     return [network_of(weights) for weights in fit(task, out, plan.pauses, plan.track)]
 
 
-def pairs_to_validate(plan: Plan) -> Any:
-    """The validation pairs of a training."""
-    return validation_pairs(plan.dataset, count=PAIRS, edge_weight=plan.data.edge_weight)
-
-
 def error_on(pairs: Any, network: NetworkCostToGo) -> float:
     """Mean error of a network on validation pairs, in cells."""
     return round(float(validation_error(network.architecture, network.weights, pairs)), 4)
@@ -321,12 +316,12 @@ def train(
     network = finished_network(out, plan, "")
     if network is None:
         # These raise for unsuitable houses before minutes of data collection.
-        pairs = pairs_to_validate(plan) if validates else None
-        episodes = Validation(dataset, progress=EpisodeProgress(leave=False)) if runs_episodes else None
+        pairs = validation_pairs(dataset, edge_weight=plan.data.edge_weight) if validates else None
+        episodes = episodes_to_validate(dataset, EpisodeProgress(leave=False)) if runs_episodes else None
 
         def validate(network: NetworkCostToGo, step: int) -> dict[str, Any]:
             figures = {} if pairs is None else {"error": error_on(pairs, network)}
-            return figures | (episodes.figures(network) if episodes and step % episodes_every == 0 else {})
+            return figures | (episodes(network) if episodes and step % episodes_every == 0 else {})
 
         (network,) = train_runs(
             out, plan, open_training_set(out, dataset, plan.data, begin_with), validate,
