@@ -232,7 +232,7 @@ class Log:
         Lines that are not JSON are skipped: they were cut off when a process was killed, and their validation repeated.
 
         Args:
-          run: name of the run; `None` for the only one.
+          run: name of the run; `None` or "" for the only one.
           figures: names of numbers that every line must have.
 
         Raises:
@@ -249,7 +249,7 @@ class Log:
                     continue
                 try:
                     step = whole_number(line["step"])
-                    own = run is None or line["run"] == run
+                    own = not run or line["run"] == run
                     for name in figures:
                         as_number(line[name])
                 except (LookupError, TypeError, ArithmeticError) as error:
@@ -316,7 +316,6 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
     """
     reuse_memory()
     alone, log, mesh = "" in task.runs, Log(out), mesh_for_batch(task.training.batch_size, len(task.runs))
-    names = [run or None for run in task.runs]
     numbers = _together([_hyperparameters(config) for config in task.runs.values()], mesh)
     data, numbers = replicate((task.data, numbers), mesh)
     losses: np.ndarray | None = None  # means of each run since the last fetch
@@ -350,7 +349,7 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
         figures = [task.validate(one, step) for one in weights]
         save_networks(weights, figures)
         lines, last = [], [None] * len(each) if losses is None else losses
-        for run, one, loss, of_run in zip(names, each, last, figures, strict=True):
+        for run, one, loss, of_run in zip(task.runs, each, last, figures, strict=True):
             known = None if loss is None or not math.isfinite(loss) else float(f"{loss:.6g}")
             lines.append({**({"run": run} if run else {}), "step": step, "loss": known, **of_run})
             if not alone:
@@ -364,7 +363,7 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
         bar.set_description(task.name)
 
     def look() -> None:
-        figures: list[dict[str, float]] = [{} for _ in names]
+        figures: list[dict[str, float]] = [{} for _ in task.runs]
         if losses is not None:
             rates = [fetch(jnp.asarray(task.training.learning_rate(own)(step - 1))) for own in numbers]
             columns = np.broadcast_arrays(losses, np.hstack(rates))
@@ -388,14 +387,14 @@ def fit(task: Task, out: Path, pauses: Pauses, track: TrackerName | None = None)
     with (
         contextlib.closing(task.recording) if task.recording else contextlib.nullcontext(),
         contextlib.closing(RunStates(task, out)) as checkpoints,
-        contextlib.closing(Curve(out, tuple(filter(None, names)), track)) as curve,
+        contextlib.closing(Curve(out, [*task.runs], track)) as curve,
     ):
         states: Sequence[Any] = [placed(one, mesh) for one in _together(checkpoints.restore(), mesh)]
         step = int(np.max(fetch(states[0].step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:
             try:
                 if pauses.validates(step, task.steps):
-                    lines = [log.by_step(run).get(step) for run in names]
+                    lines = [log.by_step(run).get(step) for run in task.runs]
                     if all(lines):  # the networks may be gone
                         known = [line.items() for line in lines if line]
                         save_networks(trained(), [{k: v for k, v in one if k not in _NO_FIGURES} for one in known])

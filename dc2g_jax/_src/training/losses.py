@@ -131,8 +131,8 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
 
 
 def losses_as_text(losses: Sequence[tuple[str, float]]) -> str:
-    """Losses with their weights other than 1, for people."""
-    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in losses)
+    """Losses that have a weight, with weights other than 1, for people."""
+    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in losses if weight)
 
 
 def map_loss(

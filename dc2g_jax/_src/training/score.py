@@ -8,7 +8,7 @@ least-squares fit of the differences between the candidates of a decision, in wh
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -358,16 +358,13 @@ def _compared(
     return float(np.mean([np.mean(part) for part in changes])), float(error)
 
 
-def learn_score(
-    out: Path, network: NetworkCostToGo, config: ScoreConfig, report: Callable[[str], object] = print
-) -> list[Round]:
+def learn_score(out: Path, network: NetworkCostToGo, config: ScoreConfig) -> list[Round]:
     """Learn the weights of the score in rounds. Those whose files are in the folder are not run again.
 
     Args:
       out: folder for `round-*.json` and the decisions `round-*.npz`.
       network: network whose cost-to-go is part of the score.
       config: how to learn.
-      report: called with a line about each step.
 
     Raises:
       InputError: see `fitted`.
@@ -383,7 +380,7 @@ def learn_score(
             path = out / f"round-{number}-{part + 1}.npz"
             if not path.exists():
                 found = try_candidates(planner, _searches(config, seed, part))
-                report(f"Round {number}, part {part + 1} of {n_parts}: {len(found.value)} decisions")
+                print(f"Round {number}, part {part + 1} of {n_parts}: {len(found.value)} decisions")
                 with replacing(path) as unfinished:
                     np.savez(unfinished, **found._asdict())
             with np.load(path) as file:
@@ -397,7 +394,7 @@ def learn_score(
             write_json(done, Round(sum(len(p[-1].value) for p in tried), change, error, change < 0, named)._asdict())
         rounds.append(Round(**read_object(done, "give another folder")))
         weights = np.array([rounds[-1].weights[term] for term in TERMS], np.float32)
-        report(
+        print(
             f"Round {number}: {100 * rounds[-1].change:+.1f} +- {100 * rounds[-1].error:.1f} % actions on fresh maps, "
             f"{'kept' if rounds[-1].kept else 'not kept'}"
         )

@@ -276,7 +276,7 @@ def sweep(
         found: Sequence[NetworkCostToGo | None] = [finished_network(out, turn, run) for run in turn.runs]
         if None in found:
             found = train_runs(
-                out, turn, opened()[1], validate, card=card or {}, picture=picture, name=f"{len(turn.runs)} runs"
+                out, turn, opened()[1], validate, card=card, picture=picture, name=f"{len(turn.runs)} runs"
             )
         networks |= {run: network for run, network in zip(turn.runs, found, strict=True) if network is not None}
     extra = {} if split is None else _episodes(out, plan.dataset, split, networks)
@@ -313,7 +313,7 @@ def _result(
     table = tuple(
         {
             "run": run,
-            "loss": losses_as_text([(name, weight) for name, weight in config.losses if weight]),
+            "loss": losses_as_text(config.losses),
             "learning_rate": config.learning_rate,
             "widths": "-".join(map(str, config.architecture.widths)),
             "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),

@@ -139,15 +139,15 @@ class Curve:
 
     Args:
       out: folder of the training.
-      runs: names of the runs trained together; empty for a single one.
+      runs: names of the runs trained together; a single one is called "".
       track: name of the tracker; `None` for the table alone.
 
     Raises:
       InputError: the table cannot be read, or the tracker cannot be used.
     """
 
-    def __init__(self, out: Path, runs: Sequence[str] = (), track: TrackerName | None = None):
-        self._path, self._runs = out / "curve.csv", tuple(runs) or ("",)
+    def __init__(self, out: Path, runs: Sequence[str] = ("",), track: TrackerName | None = None):
+        self._path, self._runs = out / "curve.csv", runs
         self._rows: dict[tuple[int, str], dict[str, Any]] = {}
         if self._path.exists():
             for line, row in table_lines(self._path, ("step",), optional=None, remedy="delete it to begin a new one"):

@@ -155,7 +155,7 @@ def train_runs(
     data: TrainingSet,
     validate: Callable[[NetworkCostToGo, int], Mapping[str, Any]],
     *,
-    card: Mapping[str, Any],
+    card: Mapping[str, Any] | None,
     picture: Picture | None,
     **options: Any,
 ) -> list[NetworkCostToGo]:
@@ -177,12 +177,12 @@ def train_runs(
             "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, plan.data.ranges))} cells"
             + (f" and {degrees:g} degrees" if (degrees := plan.data.field_of_view) != PAPER_DEGREES else ""),
             "target": "4-connected cost-to-go in cells",
-            "loss": losses_as_text([(name, weight) for name, weight in config.losses if weight]),
+            "loss": losses_as_text(config.losses),
             "learning_rate": config.learning_rate,
             "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
             "seed": config.seed,
         }
-        save_network(folder / "network", network_of(weights), {**made, **card, **figures})
+        save_network(folder / "network", network_of(weights), {**made, **(card or {}), **figures})
 
     task = Task(
         training=CostToGoTraining(recipe, plan.data.draw_batch, tuple(plan.losses.items())),
@@ -325,7 +325,7 @@ def train(
 
         (network,) = train_runs(
             out, plan, open_training_set(out, dataset, plan.data, begin_with), validate,
-            card=card or {}, picture=picture,
+            card=card, picture=picture,
             recording=recording() if recording is not None and newest_step(out) < config.steps else None,
             begin_with=None if begin_with is None else begin_with.weights,
         )  # fmt: skip
