@@ -30,6 +30,7 @@ from experiments.benchmarks.extents import Window, WindowedEstimator
 from tests.oracles import learned_score_oracle, numpy_gridworld as oracle
 from tests.oracles.learned_score_oracle import WAY, Unclear
 from tests.support import maps
+from tests.support.compiling import compiled_count
 from tests.support.exploration import (
     SENSING,
     STEP_LIMIT,
@@ -399,14 +400,14 @@ def directions_of_growth(terrain, pose, letters: str) -> set[str]:
 @pytest.mark.parametrize("name", ["frontier", "dc2g"])
 def test_no_size_of_map_compiles_anything(name):
     planner = planner_of(name, LARGER)
-    compiled = online._look.compiled_count(), online._first_state.compiled_count()
+    compiled = compiled_count(online._look), compiled_count(online._first_state)
     for height, width in ((1, 1), (3, 32), (33, 2), (32, 32), (32, 33), (33, 64), (33, 65)):
         decision = planner.plan(np.full((height, width), 3, np.uint8), (0, 0, 0))
         assert decision.mode == "gave_up"
         corner = np.full((height, width), 3, np.uint8)
         corner[-1, -1] = 0 if height * width > 1 else 3
         planner.plan(corner, (0, 0, 0))
-    assert (online._look.compiled_count(), online._first_state.compiled_count()) == compiled
+    assert (compiled_count(online._look), compiled_count(online._first_state)) == compiled
 
 
 def test_maps_of_up_to_100_by_100_cells_are_expected():

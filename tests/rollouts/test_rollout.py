@@ -24,6 +24,7 @@ from dc2g_jax._src.rollouts.rollout import NO_ACTION, Trajectories, rollout
 from dc2g_jax._src.runtime import devices
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
+from tests.support.compiling import compiled_count
 from tests.support.exploration import random_worlds
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
@@ -159,7 +160,7 @@ def test_actions_are_kept_only_if_asked_for(terrains):
 
 
 def compiled_programs() -> list[int]:
-    return [program.compiled_count() for program in (rollout_module._first_states, rollout_module._run)]
+    return [compiled_count(program) for program in (rollout_module._first_states, rollout_module._run)]
 
 
 def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):

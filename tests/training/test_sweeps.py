@@ -31,6 +31,7 @@ from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import learn, placed, stacked, supervised_step
 from dc2g_jax._src.training.sweeps import Sweep, group_by_shape, named_losses, runs_of_grid, sweep
 from tests.support import maps
+from tests.support.compiling import compiled_count
 from tests.support.houses import STREET, house
 from tests.support.refusals import refusal
 from tests.support.trainings import first_state
@@ -167,9 +168,9 @@ def test_together_is_like_alone(data):
 def test_runs_together_are_one_program(data):
     configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]), 64)[0].values())
     train(data, configs, 1)
-    before = learn.compiled_count()
+    before = compiled_count(learn)
     train(data, [dataclasses.replace(config, seed=7, learning_rate=2e-3) for config in configs], 2)
-    assert learn.compiled_count() == before
+    assert compiled_count(learn) == before
 
 
 @pytest.mark.usefixtures("stack")

@@ -30,6 +30,7 @@ from dc2g_jax._src.viewer.recording import record_episode
 from tests.oracles import numpy_gridworld as oracle
 from tests.oracles.learned_score_oracle import Chooser
 from tests.support import toy
+from tests.support.compiling import compiled_count
 from tests.support.exploration import LowestColumn, PlanAlone
 from tests.support.recordings import read
 
@@ -318,11 +319,11 @@ def test_length_of_an_episode_changes_nothing_before_its_end():
     arguments = {"planner": planner_with("frontier", _RULES), "rules": _RULES}
     world, start = World.from_terrain(_TERRAIN), make_pose(*_START[1:4])
     actions = actions_from_letters("LFRRFL" * 12)
-    compiled = replaying._replay_chunk.compiled_count()
+    compiled = compiled_count(replaying._replay_chunk)
     long = replay(world, start, actions, **arguments)
     short = replay(world, start, actions[:5], **arguments)
     none = replay(world, start, actions[:0], **arguments)
-    assert replaying._replay_chunk.compiled_count() <= compiled + 1
+    assert compiled_count(replaying._replay_chunk) <= compiled + 1
     assert (len(long), len(short), len(none)) == (73, 6, 1)
     for name in ("terrain", "reachable", "candidates", "subgoals", "mode", "length", "to_goal"):
         np.testing.assert_array_equal(getattr(long, name)[:6], getattr(short, name))

@@ -75,10 +75,6 @@ class jit:
         """Trace the function for these arguments, as `jax.jit` does."""
         return self.of(args, kwargs).trace(*args, **kwargs)
 
-    def compiled_count(self) -> int:
-        """Number of compiled programs that are kept."""
-        return sum(program._cache_size() for program in self._programs.values())
-
 
 def count_programs() -> list[float]:
     """A list that grows by the seconds of each program that is compiled, or loaded from disk, from now on."""

@@ -12,6 +12,7 @@ from dc2g_jax._src.training.step import learn
 from dc2g_jax.indoor.learning.midlevel import EncoderArchitecture, TrainedEncoder
 from dc2g_jax.indoor.maps.camera import VIEW_SIZE, CameraView
 from experiments.objectnav.encoder import Answers, EncoderTraining, encoder_task, task_losses
+from tests.support.compiling import compiled_count
 from tests.support.two_rooms import views_of_a_bed
 
 ARCHITECTURE = EncoderArchitecture(widths=(4, 6, 8), features=5)
@@ -74,12 +75,12 @@ def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path)
 def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, monkeypatch):
     """Each number of devices compiles the step once. 40 steps move half of the weights by 1e-2 or more."""
     jax.clear_caches()  # one of the two may have been compiled for other tests
-    found, before = [], learn.compiled_count()
+    found, before = [], compiled_count(learn)
     for count in (1, 2):
         mesh = mesh_of(jax.devices()[:count])
         monkeypatch.setattr(loop, "mesh_for_batch", lambda size, runs, mesh=mesh: mesh)
         found.append(train_encoder(views, tmp_path / str(count)))
-    assert learn.compiled_count() == before + 2
+    assert compiled_count(learn) == before + 2
     (one, losses), (two, others) = found
     for name, loss in losses[-1].items():
         assert others[-1][name] == pytest.approx(loss, rel=1e-5)
