@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -129,11 +130,11 @@ def test_a_score_is_learned_resumed_and_used(tmp_path, capsys):
 
 
 def test_what_makes_no_sense_is_refused(tmp_path):
-    invalid = [(ScoreConfig(rounds=0), "--rounds 0"), (ScoreConfig(sides=(8,)), "--sides 8")]
-    invalid += [(ScoreConfig(sides=()), "sides is empty"), (ScoreConfig(seed=2**31), "--seed 2147483648")]
-    invalid += [(ScoreConfig(field_of_view=400), "--field-of-view 400")]
-    for config, said in invalid:
-        refusal(lambda: train(tmp_path / "out", "procedural", config=config), said, "give")  # noqa: B023
+    invalid: list[tuple[dict[str, Any], str]] = [({"rounds": 0}, "--rounds 0"), ({"sides": (8,)}, "--sides 8")]
+    invalid += [({"sides": ()}, "sides is empty"), ({"seed": 2**31}, "--seed 2147483648")]
+    invalid += [({"field_of_view": 400}, "--field-of-view 400")]
+    for options, said in invalid:
+        refusal(lambda: ScoreConfig(**options), said, "give")  # noqa: B023
     refusal(lambda: train(tmp_path / "out", tmp_path / "none", config=SMALL), "none", "give")
     assert not (tmp_path / "out").exists()
     network = random_network(Architecture(widths=(4, 8)))

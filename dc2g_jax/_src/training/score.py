@@ -73,6 +73,9 @@ class ScoreConfig:
       sides: cells a side of the maps without classes.
       field_of_view: width of the robots' field of view in degrees.
       seed: seed of all random numbers.
+
+    Raises:
+      InputError: a number is out of bounds.
     """
 
     rounds: int = 2
@@ -83,12 +86,7 @@ class ScoreConfig:
     field_of_view: float = PAPER_DEGREES
     seed: int = 0
 
-    def check(self) -> None:
-        """Check all numbers.
-
-        Raises:
-          InputError: one is out of bounds.
-        """
+    def __post_init__(self) -> None:
         if not self.sides:
             raise InputError("sides is empty; give the sides of the maps without classes, in cells")
         check_number("--rounds", self.rounds, whole=True, least=1, most=_MOST_ROUNDS - 1)

@@ -292,7 +292,6 @@ def train(
     keep_compiled_programs()
     out = Path(out)
     if isinstance(config, ScoreConfig):
-        config.check()
         if split is not None:
             check_name("split", split, SPLITS)
             dataset = dataset if isinstance(dataset, HouseDataset) else open_dataset(dataset)
