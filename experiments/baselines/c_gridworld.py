@@ -72,7 +72,6 @@ def _run(problem: Problem, planner: BaselineName) -> Outcome:
         _address(problem.start),
         *_addresses(problem.sensing),
         *_addresses(problem.expanding),
-        int(problem.complete),
         BASELINES.index(planner),
         problem.step_limit,
         _address(outcome.steps),

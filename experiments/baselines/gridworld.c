@@ -1,6 +1,6 @@
 /* Exploration episodes the plain way: queues and loops, one robot after another, one thread.
  *
- * The same rules as dc2g_jax, action for action. Grids are bytes, row by row, y growing downward; sets of poses are
+ * The rules `reference` of dc2g_jax, action for action. Grids are bytes, row by row, y growing downward; sets of poses are
  * four grids, one a heading: 0 = +x, 1 = +y, 2 = -x, 3 = -y. Actions are 0 forward, 1 left (heading - 1), 2 right
  * (heading + 1). Everything is planned afresh at every step.
  */
@@ -34,9 +34,8 @@ typedef struct {
     int width;
     int height;
     int cells;
-    int complete; /* the rules `complete`, else `reference` */
     Kernel sensing;
-    Kernel expanding; /* of the rules `reference` */
+    Kernel expanding;
     uint8_t *seen;      /* [cells] */
     uint8_t *free;      /* [cells] seen and traversable */
     uint8_t *reachable; /* [cells] */
@@ -103,34 +102,23 @@ static void find_reachable(Robot *robot, Pose pose)
     }
 }
 
-/* Does a cell have a 4-neighbor whose mark is this one? */
-static int has_neighbor(const Robot *robot, const uint8_t *marks, int mark, int x, int y)
+/* Is a cell one that frontier-expanding poses cover: seen, with an unseen neighbor? */
+static int wanted(const Robot *robot, int x, int y)
 {
+    if (!robot->seen[y * robot->width + x])
+        return 0;
     for (int k = 0; k < 4; k++) {
         int column = x + FORWARD_X[k], row = y + FORWARD_Y[k];
-        if (inside(robot, column, row) && marks[row * robot->width + column] == mark)
+        if (inside(robot, column, row) && !robot->seen[row * robot->width + column])
             return 1;
     }
     return 0;
 }
 
-/* Must a frontier-expanding pose cover this cell?
- *
- * By the rules `reference` seen cells with an unseen neighbor, by the rules `complete` unseen cells with a reachable
- * neighbor.
- */
-static int wanted(const Robot *robot, int x, int y)
-{
-    int seen = robot->seen[y * robot->width + x];
-    if (robot->complete)
-        return !seen && has_neighbor(robot, robot->reachable, 1, x, y);
-    return seen && has_neighbor(robot, robot->seen, 0, x, y);
-}
-
 /* Target the frontier-expanding poses: reachable, not the current one, covering a wanted cell. */
 static void target_frontier_expanding(Robot *robot, Pose pose)
 {
-    const Kernel *kernel = robot->complete ? &robot->sensing : &robot->expanding;
+    const Kernel *kernel = &robot->expanding;
     int count = 0;
     for (int y = 0; y < robot->height; y++)
         for (int x = 0; x < robot->width; x++)
@@ -154,7 +142,7 @@ static void target_frontier_expanding(Robot *robot, Pose pose)
 /* Does a pose cover a wanted cell? */
 static int covers_wanted(const Robot *robot, Pose pose)
 {
-    const Kernel *kernel = robot->complete ? &robot->sensing : &robot->expanding;
+    const Kernel *kernel = &robot->expanding;
     for (int i = kernel->first[pose.heading]; i < kernel->first[pose.heading + 1]; i++) {
         int x = pose.x + kernel->dx[i], y = pose.y + kernel->dy[i];
         if (inside(robot, x, y) && wanted(robot, x, y))
@@ -225,8 +213,8 @@ static int plan(Robot *robot, const uint8_t *traversable, const uint8_t *goals, 
         return first_action(robot, traversable, pose, NEAREST);
     }
     find_reachable(robot, pose);
-    if (target_goals(robot, goals, robot->reachable, !robot->complete))
-        return first_action(robot, robot->free, pose, robot->complete ? NEAREST : NEAREST_SMALLEST);
+    if (target_goals(robot, goals, robot->reachable, 1))
+        return first_action(robot, robot->free, pose, NEAREST_SMALLEST);
     if (planner == FRONTIER_LAZY)
         return first_action(robot, robot->free, pose, LAZY);
     target_frontier_expanding(robot, pose);
@@ -262,11 +250,11 @@ static int run_episode(Robot *robot, const uint8_t *traversable, const uint8_t *
 int run_episodes(int height, int width, const uint8_t *traversable, const uint8_t *goals, int episodes,
                  const int32_t *world, const int32_t *start, const int32_t *sensing_first, const int32_t *sensing_dx,
                  const int32_t *sensing_dy, const int32_t *expanding_first, const int32_t *expanding_dx,
-                 const int32_t *expanding_dy, int complete, int planner, int step_limit, int32_t *steps,
-                 uint8_t *success, int8_t *actions)
+                 const int32_t *expanding_dy, int planner, int step_limit, int32_t *steps, uint8_t *success,
+                 int8_t *actions)
 {
     size_t cells = (size_t)height * (size_t)width;
-    Robot robot = {.width = width, .height = height, .cells = (int)cells, .complete = complete};
+    Robot robot = {.width = width, .height = height, .cells = (int)cells};
     uint8_t *bytes = calloc(cells, 3 + 3 * 4);
     robot.queue = malloc(4 * cells * sizeof *robot.queue);
     if (!bytes || !robot.queue) {

@@ -78,35 +78,27 @@ def _find_reachable(reachable: _Cells, free: _Cells, queue: _Queue, x: int, y: i
 
 
 @_compiled
-def _has_neighbor(marks: _Cells, mark: int, x: int, y: int) -> bool:
-    """Does a cell have a 4-neighbor whose mark is this one?"""
-    height, width = marks.shape
+def _wanted(seen: _Cells, x: int, y: int) -> bool:
+    """Is a cell one that frontier-expanding poses cover: seen, with an unseen neighbor?"""
+    height, width = seen.shape
+    if not seen[y, x]:
+        return False
     for heading in range(4):
         column, row = x + _FORWARD_X[heading], y + _FORWARD_Y[heading]
-        if 0 <= column < width and 0 <= row < height and marks[row, column] == mark:
+        if 0 <= column < width and 0 <= row < height and not seen[row, column]:
             return True
     return False
 
 
 @_compiled
-def _wanted(seen: _Cells, reachable: _Cells, complete: bool, x: int, y: int) -> bool:
-    """Must a frontier-expanding pose cover this cell? See `gridworld.c`."""
-    if complete:
-        return not seen[y, x] and _has_neighbor(reachable, 1, x, y)
-    return seen[y, x] and _has_neighbor(seen, 0, x, y)
-
-
-@_compiled
-def _target_frontier_expanding(
-    robot: _Robot, kernel: HeadingOffsets, complete: bool, x: int, y: int, heading: int
-) -> None:
+def _target_frontier_expanding(robot: _Robot, kernel: HeadingOffsets, x: int, y: int, heading: int) -> None:
     """Target the frontier-expanding poses: reachable, not the current one, covering a wanted cell."""
     seen, _, reachable, targets, _, _, queue = robot
     height, width = seen.shape
     count = 0
     for row in range(height):
         for column in range(width):
-            if _wanted(seen, reachable, complete, column, row):
+            if _wanted(seen, column, row):
                 queue[count, 0], queue[count, 1] = column, row
                 count += 1
     targets[:] = 0
@@ -120,20 +112,20 @@ def _target_frontier_expanding(
 
 
 @_compiled
-def _covers_wanted(robot: _Robot, kernel: HeadingOffsets, complete: bool, x: int, y: int, heading: int) -> bool:
+def _covers_wanted(robot: _Robot, kernel: HeadingOffsets, x: int, y: int, heading: int) -> bool:
     """Does a pose cover a wanted cell?"""
-    seen, _, reachable, _, _, _, _ = robot
+    seen = robot[0]
     height, width = seen.shape
     for i in range(kernel.first[heading], kernel.first[heading + 1]):
         column, row = x + kernel.dx[i], y + kernel.dy[i]
-        if 0 <= column < width and 0 <= row < height and _wanted(seen, reachable, complete, column, row):
+        if 0 <= column < width and 0 <= row < height and _wanted(seen, column, row):
             return True
     return False
 
 
 @_compiled
 def _first_action(
-    robot: _Robot, ground: _Cells, kernel: HeadingOffsets, complete: bool, x: int, y: int, heading: int, choice: int
+    robot: _Robot, ground: _Cells, kernel: HeadingOffsets, x: int, y: int, heading: int, choice: int
 ) -> int:
     """First action of the plan to the nearest target, `_NO_PLAN` where there is none. See `gridworld.c`."""
     _, _, _, targets, found, first, queue = robot
@@ -149,7 +141,7 @@ def _first_action(
             level_end = tail
         column, row, turned = queue[head, 0], queue[head, 1], queue[head, 2]
         if choice == _LAZY:
-            hit = head > 0 and _covers_wanted(robot, kernel, complete, column, row, turned)
+            hit = head > 0 and _covers_wanted(robot, kernel, column, row, turned)
         else:
             hit = targets[turned, row, column] == 1
         if hit:
@@ -191,7 +183,6 @@ def _plan(
     traversable: _Cells,
     goals: _Cells,
     kernel: HeadingOffsets,
-    complete: bool,
     planner: int,
     x: int,
     y: int,
@@ -205,13 +196,13 @@ def _plan(
         _target_goals(targets, goals, traversable, False)
     else:
         _find_reachable(reachable, free, queue, x, y)
-        if _target_goals(targets, goals, reachable, not complete):
-            choice = _NEAREST if complete else _NEAREST_SMALLEST
+        if _target_goals(targets, goals, reachable, True):
+            choice = _NEAREST_SMALLEST
         elif planner == _FRONTIER_LAZY:
             choice = _LAZY
         else:
-            _target_frontier_expanding(robot, kernel, complete, x, y, heading)
-    return _first_action(robot, ground, kernel, complete, x, y, heading, choice)
+            _target_frontier_expanding(robot, kernel, x, y, heading)
+    return _first_action(robot, ground, kernel, x, y, heading, choice)
 
 
 @_compiled
@@ -222,7 +213,6 @@ def _run_episodes(
     start: npt.NDArray[np.int32],
     sensing: HeadingOffsets,
     kernel: HeadingOffsets,
-    complete: bool,
     planner: int,
     step_limit: int,
     outcome: Outcome,
@@ -242,7 +232,7 @@ def _run_episodes(
         _observe(seen, free, ground, sensing, x, y, heading)
         count = 0
         while not doors[y, x] and count < step_limit:
-            action = _plan(robot, ground, doors, kernel, complete, planner, x, y, heading)
+            action = _plan(robot, ground, doors, kernel, planner, x, y, heading)
             if action == _NO_PLAN:
                 break
             x, y, heading = _moved(x, y, heading, action, height, width)
@@ -262,8 +252,7 @@ def run_episodes(problem: Problem, planner: BaselineName) -> Outcome:
         problem.world,
         problem.start,
         problem.sensing,
-        problem.sensing if problem.complete else problem.expanding,
-        problem.complete,
+        problem.expanding,
         BASELINES.index(planner),
         problem.step_limit,
         outcome,

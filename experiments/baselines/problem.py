@@ -13,7 +13,6 @@ from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 #: `frontier_lazy` takes the same actions as `frontier` without the whole set of frontier-expanding poses at hand: it
 #: searches outward from the robot and looks at each pose only when the search comes to it.
 BaselineName = Literal["oracle", "frontier", "frontier_lazy"]
-RulesName = Literal["reference", "complete"]
 BASELINES: tuple[BaselineName, ...] = ("oracle", "frontier", "frontier_lazy")
 
 
@@ -48,7 +47,7 @@ class HeadingOffsets(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """Episodes to run.
+    """Episodes to run by the rules `reference`.
 
     Attributes:
       traversable: cells of each world a robot may drive on, 0 or 1, uint8 [worlds h w].
@@ -56,8 +55,7 @@ class Problem:
       world: each episode's world, int32 [episodes].
       start: each episode's first x, y and heading, int32 [episodes 3].
       sensing: the field of view.
-      expanding: kernel of the frontier-expanding poses by the rules `reference`.
-      complete: plan by the rules `complete` rather than `reference`.
+      expanding: kernel of the frontier-expanding poses.
       step_limit: actions after which an episode ends without success.
     """
 
@@ -67,7 +65,6 @@ class Problem:
     start: npt.NDArray[np.int32]
     sensing: HeadingOffsets
     expanding: HeadingOffsets
-    complete: bool
     step_limit: int
 
 
@@ -92,7 +89,6 @@ def make_problem(
     *,
     sensing_range: int,
     expanding_range: int | None = None,
-    rules: RulesName = "reference",
     step_limit: int = 500,
 ) -> Problem:
     """Episodes in worlds given as class indices.
@@ -103,7 +99,6 @@ def make_problem(
       start: each episode's first x, y and heading, [episodes 3].
       sensing_range: reach of the field of view, in cells.
       expanding_range: range of the expanding kernel in cells; the sensing range where `None`.
-      rules: which rules to plan by.
       step_limit: actions after which an episode ends without success.
     """
     return Problem(
@@ -113,7 +108,6 @@ def make_problem(
         start=np.ascontiguousarray(start, np.int32).reshape(-1, 3),
         sensing=HeadingOffsets.of(field_of_view(sensing_range).offsets),
         expanding=HeadingOffsets.of(expanding_kernel(expanding_range or sensing_range).offsets),
-        complete=rules == "complete",
         step_limit=step_limit,
     )
 
