@@ -154,7 +154,7 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
         return loss
 
     measured = bench.measure(train)
-    whole = options.steps * measured.timing.median / steps
+    whole = options.steps * measured.median / steps
     row = own("translator", f"{options.base_filters} filters", "steps", batch=config.batch_size, cells=options.size)
     yield row.with_figures(measured, steps, checksum=None, facts={f"{options.steps} steps, s, extrapolated": whole})
 
@@ -163,7 +163,7 @@ def _searched(bench: Bench, agent: Agent, houses: Sequence[IndoorHouse], row: Ro
     episodes = sample_episodes(houses, batch // len(houses))
     limit = 5 if bench.quick else TIME_LIMIT
     found = _once(lambda: search_all(agent, houses, episodes, limit=limit))
-    facts = {"searches/s": len(episodes) / found.timing.median}
+    facts = {"searches/s": len(episodes) / found.median}
     return row.with_figures(found, float(np.sum(found.output.steps)), facts=facts, checksum=None)
 
 

@@ -13,7 +13,7 @@ from dc2g_jax._src.planning.rules import SETTINGS, Rules
 
 from .machine import BANDWIDTH, WORD_ARITHMETIC
 from .rows import Row
-from .timing import Measured, Timing, measure
+from .timing import Measured, measure
 from .work import count_work
 from .workload import Robots, Workload, active_robots
 
@@ -67,12 +67,12 @@ class Bench:
         led = self._led_by_frontier
         return led if planner == "frontier" else led._replace(state=self.planner(planner).init(led.world))
 
-    def shares(self, timing: Timing, function: Callable[..., Any], *arguments: Any) -> dict[str, float]:
-        """What part of the machine's bandwidth and arithmetic a kernel reaches, from its counted work."""
+    def shares(self, seconds: float, function: Callable[..., Any], *arguments: Any) -> dict[str, float]:
+        """What part of the machine's bandwidth and arithmetic a kernel reaches in its time, from its counted work."""
         work = count_work(function, *arguments)
         return {
-            BANDWIDTH: work.bytes / timing.median / self.peaks[BANDWIDTH],
-            WORD_ARITHMETIC: work.operations / timing.median / self.peaks[WORD_ARITHMETIC],
+            BANDWIDTH: work.bytes / seconds / self.peaks[BANDWIDTH],
+            WORD_ARITHMETIC: work.operations / seconds / self.peaks[WORD_ARITHMETIC],
         }
 
 

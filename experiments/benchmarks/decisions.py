@@ -79,5 +79,5 @@ def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str,
     middle = slice(rows // 4, -rows // 4), slice(columns // 4, -columns // 4)
     terrain[middle] = house.terrain[middle]
     before = jnp.zeros((1, rows, columns))
-    timings = {name: measure(lambda: _ask(one, terrain, before), repeats=9) for name, one in estimators.items()}  # noqa: B023
-    return {name: round(1e3 * measured.timing.median, 2) for name, measured in timings.items()}
+    times = {name: measure(lambda: _ask(one, terrain, before), repeats=9).median for name, one in estimators.items()}  # noqa: B023
+    return {name: round(1e3 * seconds, 2) for name, seconds in times.items()}

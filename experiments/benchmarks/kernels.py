@@ -153,7 +153,7 @@ def kernel_rows(bench: Bench) -> Iterator[Row]:
     for what, (function, arguments) in _own_kernels(bench, batch).items():
         compiled = jit(function)
         measured = bench.measure(functools.partial(compiled, *arguments))
-        shares = bench.shares(measured.timing, function, *arguments)
+        shares = bench.shares(measured.median, function, *arguments)
         yield own("kernels", what, KERNEL_UNIT, **case).with_figures(measured, float(batch), shares=shares)
     yield from _peers(bench, _Maps(bench, 4 if bench.quick else 64))
 
@@ -162,9 +162,9 @@ def network_row(bench: Bench, section: str, batch: int) -> Row:
     """The network alone on partial maps."""
     belief = bench.robots("frontier").batch(batch).belief
     weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
-    program = compile_program(functools.partial(compact_unet.apply, bench.network.architecture), weights, terrain)
-    measured = bench.measure(lambda: program.call(weights, terrain))
-    architecture, seconds = bench.network.architecture, measured.timing.median
+    program, _ = compile_program(functools.partial(compact_unet.apply, bench.network.architecture), weights, terrain)
+    measured = bench.measure(lambda: program(weights, terrain))
+    architecture, seconds = bench.network.architecture, measured.median
     operations = 2 * compact_unet.multiply_accumulates(architecture, bench.workload.cells, bench.workload.cells)
     least_bytes = sum(leaf.nbytes for leaf in jax.tree.leaves((weights, terrain))) + measured.output.nbytes
     shares = {

@@ -77,8 +77,8 @@ class Peak:
 
 
 def _peak(call: Callable[[], jax.Array], work: float, unit: str, repeats: int) -> Peak:
-    timing = measure(call, repeats=repeats).timing
-    return Peak(rate=work / timing.median, worst_rate=work / timing.worst, unit=unit)
+    measured = measure(call, repeats=repeats)
+    return Peak(rate=work / measured.median, worst_rate=work / measured.worst, unit=unit)
 
 
 def _bandwidth(repeats: int, elements: int) -> Peak:

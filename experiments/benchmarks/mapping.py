@@ -73,12 +73,12 @@ def mapping_row(case: Case, repeats: int) -> MappingRow:
     taking = measure(lambda: take(maps, frames, camera, settings), repeats=repeats)
     filled = take(maps, frames, camera, settings)
     reading = measure(lambda: read(filled, settings), repeats=repeats)
-    median, worst = taking.timing.median, taking.timing.worst
+    median, worst = taking.median, taking.worst
     return MappingRow(
         *case,
         integrate=round(1e3 * median, 2),
         worst=round(1e3 * worst, 2),
         frames_a_second=round(case.robots / median, 1),
-        terrain=round(1e3 * reading.timing.median, 2),
+        terrain=round(1e3 * reading.median, 2),
         gib=round(taking.peak_memory / 2**30, 2),
     )

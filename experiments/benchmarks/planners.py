@@ -43,7 +43,7 @@ def with_episodes(row: Row, measured: Measured, reference: Any = None, every: in
       every: only every n-th of the episodes was run.
     """
     steps = np.asarray(measured.output.steps)
-    facts = {"episodes": len(steps), "episodes/s": len(steps) / measured.timing.median}
+    facts = {"episodes": len(steps), "episodes/s": len(steps) / measured.median}
     if reference is not None:
         facts["same actions"] = float(np.array_equal(measured.output.actions, reference[::every]))
     return row.with_figures(measured, float(np.sum(steps)), facts=facts)

@@ -3,7 +3,7 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -16,18 +16,6 @@ _MOST_MEMORY = 0.5
 
 class TooLarge(Exception):
     """A program needs more memory than there is to spare."""
-
-
-class CompiledProgram(NamedTuple):
-    """A compiled program.
-
-    Attributes:
-      call: the program, without its static arguments.
-      memory: bytes for arguments, results and everything between.
-    """
-
-    call: Callable[..., Any]
-    memory: int
 
 
 def device_memory() -> int:
@@ -51,21 +39,15 @@ def nothing_kept() -> Iterator[None]:
         compilation_cache.reset_cache()
 
 
-def compile_program(function: Callable[..., Any], *arguments: Any, **static: Any) -> CompiledProgram:
-    """Trace and compile a function for its arguments.
-
-    Args:
-      function: what to compile; already under `jit` where it has static arguments.
-      arguments: arrays.
-      static: static arguments.
+def compile_program(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..., Any], int]:
+    """Compile a function for its arguments: the program, and bytes for arguments, results and everything between.
 
     Raises:
       TooLarge: if the program needs more memory than there is to spare.
     """
-    jitted: Any = function if hasattr(function, "trace") else jit(function)
-    compiled = jitted.trace(*arguments, **static).lower().compile()
+    compiled = jit(function).lower(*arguments).compile()
     analysis = compiled.memory_analysis()
     memory = analysis.temp_size_in_bytes + analysis.argument_size_in_bytes + analysis.output_size_in_bytes
     if memory > _MOST_MEMORY * device_memory():
         raise TooLarge(f"needs {memory / 2**30:.1f} GiB of memory")
-    return CompiledProgram(compiled, memory)
+    return compiled, memory

@@ -67,14 +67,13 @@ class Row:
           units: how many units one call handles.
           more: further attributes.
         """
-        timing = measured.timing
         return dataclasses.replace(
             self,
-            rate=units / timing.median,
-            worst_rate=units / timing.worst,
-            seconds=timing.median,
-            first_seconds=timing.first,
-            repeats=timing.repeats,
+            rate=units / measured.median,
+            worst_rate=units / measured.worst,
+            seconds=measured.median,
+            first_seconds=measured.first,
+            repeats=measured.repeats,
             peak_memory=measured.peak_memory,
             added_memory=measured.added_memory,
             **{"checksum": checksum(measured.output), **more},

@@ -30,8 +30,8 @@ _STEPS = 32
 def _stepped(bench: Bench, row: Row, batch: int, run: Callable[..., Any], *starts: Any) -> Row:
     """The row of a program that takes random actions, [steps batch], the same for everyone, from its starts."""
     actions = jnp.asarray(np.random.default_rng(0).integers(3, size=(_STEPS, batch)), jnp.int32)
-    program = compile_program(run, *starts, actions)
-    return row.with_figures(bench.measure(lambda: program.call(*starts, actions)), float(_STEPS * batch))
+    program, _ = compile_program(run, *starts, actions)
+    return row.with_figures(bench.measure(lambda: program(*starts, actions)), float(_STEPS * batch))
 
 
 def own_steps(bench: Bench, row: Row, batch: int) -> Row:

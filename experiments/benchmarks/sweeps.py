@@ -31,11 +31,11 @@ def _planner_steps(bench: Bench, planner: str, row: Row, batch: int) -> Row:
     # Small batches follow one another, so that no single robot stands for all.
     robots = bench.robots(planner)
     batches = [robots.batch(batch, number) for number in range(max(1, _FEWEST_ROBOTS // batch))]
-    program = compile_program(cycles(bench.planner(planner), bench.rules().sensing, _CYCLES), batches[0])
-    batches = [program.call(each) for each in batches]  # no planner's first steps, where it may do more
-    measured = bench.measure(lambda: [program.call(each) for each in batches])
+    program, memory = compile_program(cycles(bench.planner(planner), bench.rules().sensing, _CYCLES), batches[0])
+    batches = [program(each) for each in batches]  # no planner's first steps, where it may do more
+    measured = bench.measure(lambda: [program(each) for each in batches])
     units = float(_CYCLES * batch * len(batches))
-    return row.with_figures(measured, units, facts={"program, MiB": program.memory / 2**20})
+    return row.with_figures(measured, units, facts={"program, MiB": memory / 2**20})
 
 
 def _slots(bench: Bench, row: Row, batch: int) -> Row:

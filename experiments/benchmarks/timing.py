@@ -5,7 +5,7 @@ import resource
 import statistics
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,47 +16,26 @@ import numpy as np
 _SHORTEST_REPEAT = 0.05
 
 
-class Timing(NamedTuple):
-    """Seconds of one call, over repeats.
+class Measured(NamedTuple):
+    """Seconds of one call over repeats, and what it gave.
 
     Attributes:
-      median: of the repeats.
-      worst: the slowest repeat.
-      first: the first call, compilation included.
+      median: seconds of the median repeat.
+      worst: of the slowest repeat.
+      first: of the first call, compilation included.
       repeats: how many were taken, the first call not among them.
+      output: what the last call gave, on the host.
+      peak_memory: most bytes the process held meanwhile, or the device where it keeps count.
+      added_memory: how much of it came on top of what was held before.
     """
 
     median: float
     worst: float
     first: float
     repeats: int
-
-
-class Measured(NamedTuple):
-    """A call's timing and what it gave.
-
-    Attributes:
-      timing: seconds of one call.
-      output: what the last call gave, on the host.
-      peak_memory: most bytes the process held meanwhile, or the device where it keeps count.
-      added_memory: how much of it came on top of what was held before.
-    """
-
-    timing: Timing
     output: Any
     peak_memory: int
     added_memory: int
-
-
-def summarize(seconds: Sequence[float], first: float) -> Timing:
-    """Median and worst of repeats.
-
-    Raises:
-      ValueError: if there is none.
-    """
-    if not seconds:
-        raise ValueError("no repeat was taken; take at least one")
-    return Timing(median=statistics.median(seconds), worst=max(seconds), first=first, repeats=len(seconds))
 
 
 def measure(call: Callable[[], Any], *, repeats: int, shortest_repeat: float = _SHORTEST_REPEAT) -> Measured:
@@ -64,7 +43,7 @@ def measure(call: Callable[[], Any], *, repeats: int, shortest_repeat: float = _
 
     Args:
       call: what to time.
-      repeats: how many times.
+      repeats: how many times, at least one.
       shortest_repeat: a repeat calls so often that it takes these seconds at least; 0 for one call.
     """
     held = held_memory()
@@ -83,7 +62,9 @@ def measure(call: Callable[[], Any], *, repeats: int, shortest_repeat: float = _
         took, output = seconds(calls)
         taken.append(took)
     peak = peak_memory()
-    return Measured(summarize(taken, first), jax.device_get(output), peak, peak - held)
+    return Measured(
+        statistics.median(taken), max(taken), first, repeats, jax.device_get(output), peak, added_memory=peak - held
+    )
 
 
 def checksum(output: Any) -> int:

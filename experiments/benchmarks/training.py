@@ -86,7 +86,7 @@ def training_rows(
         states, mesh = [placed(state, meshes[way]) for state in states], meshes[way]
         step = functools.partial(supervised_step, data=replicate(_data(bench), mesh), training=training, mesh=mesh)
         measured = bench.measure(functools.partial(trained, step, states, numbers))
-        facts = {"steps of a run/s": steps / measured.timing.median}
+        facts = {"steps of a run/s": steps / measured.median}
         yield row.with_figures(measured, 3600 * n_runs * steps / _STEPS_A_RUN, checksum=None, facts=facts)
 
 

@@ -148,12 +148,12 @@ def cycle(planner: Planner, sensing: Kernel, robots: Robots) -> Robots:
 
 
 def cycles(planner: Planner, sensing: Kernel, count: int) -> Callable[[Robots], Robots]:
-    """A compiled program: so many planner steps of every robot, all of whose outcome is kept."""
+    """A program of so many planner steps of every robot, all of whose outcome is kept."""
 
     def run(robots: Robots) -> Robots:
         return jax.lax.fori_loop(0, count, lambda _, now: cycle(planner, sensing, now), robots)
 
-    return jit(run)
+    return run
 
 
 def active_robots(workload: Workload, leader: Planner, sensing: Kernel, count: int) -> Robots:
