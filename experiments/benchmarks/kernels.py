@@ -2,7 +2,7 @@
 
 import functools
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -20,7 +20,7 @@ from dc2g_jax._src.runtime.devices import deal, mesh_of, on_each, replicate
 from dc2g_jax._src.runtime.programs import jit
 from tests.oracles import numpy_gridworld
 
-from ..baselines import libraries
+from ..baselines.libraries import cost_to_go_skimage, distance_opencv, path_skimage, reachable_scipy
 from .bench import PYTORCH, SENSING_RANGE, Bench, own
 from .machine import BANDWIDTH, FLOAT_ARITHMETIC
 from .programs import compile_program
@@ -58,92 +58,58 @@ def _own_kernels(bench: Bench, batch: int) -> dict[str, tuple[Callable[..., Any]
     }
 
 
-class _Maps:
-    """The first few robots' maps as plain arrays, and answers to check."""
-
-    def __init__(self, bench: Bench, count: int):
-        robots = bench.robots("frontier").batch(count)
-        belief, width = robots.belief, robots.world.width
-        pose = np.stack([belief.pose.x, belief.pose.y, belief.pose.heading])
-        reachable = jit(reachable_cells)(belief)
-        subgoals = frontiers.reference(belief, reachable, expanding=expanding_kernel(SENSING_RANGE))
-
-        def maps(board: Any) -> np.ndarray:
-            return np.ascontiguousarray(np.moveaxis(np.asarray(bitboard.unpack(board, width)), -1, 0))
-
-        self.count = count
-        self.poses = [(int(x), int(y), int(heading)) for x, y, heading in pose.T]
-        self.seen, self.free = maps(belief.seen), maps(belief.traversable)
-        self.reachable = maps(reachable)
-        self.traversable, self.goals = maps(robots.world.traversable), maps(robots.world.goals)
-        self.subgoals = np.moveaxis(np.asarray(unpack(subgoals, width)), -1, 0)
-        self.actions = np.asarray(search.first_action(belief.pose, subgoals, reachable).action)
-
-
 def _peer(
-    bench: Bench, row: Row, count: int, function: Callable[[int], Any], expected: Any = None, tolerance: float = 0.0
+    bench: Bench, row: Row, function: Callable[..., Any], maps: Sequence[Sequence[Any]], expected: Sequence[Any] | None
 ) -> Row:
-    """A function of one map, on one map after another."""
-    measured = bench.measure(lambda: [function(number) for number in range(count)])
+    """A function of one map, on one map after another; `expected` are its answers where they should be ours."""
+    given = list(zip(*maps, strict=True))
+    measured = bench.measure(lambda: [function(*arguments) for arguments in given])
     facts = {}
     if expected is not None:
-        facts["same answer"] = float(np.allclose(np.asarray(measured.output), expected, rtol=tolerance, atol=tolerance))
-    return row.with_figures(measured, float(count), facts=facts)
+        facts["same answer"] = float(np.allclose(np.asarray(measured.output), expected, rtol=1e-5, atol=1e-5))
+    return row.with_figures(measured, float(len(given)), facts=facts)
 
 
-def _first_actions(maps: _Maps, number: int) -> int:
-    actions = numpy_gridworld.shortest_actions(maps.reachable[number], maps.poses[number], maps.subgoals[number])
-    return actions[0] if actions else 0
+def _peers(bench: Bench, count: int) -> Iterator[Row]:
+    """Libraries and the plain NumPy program, on the maps of the first few robots."""
+    world, belief, _ = bench.robots("frontier").batch(count)
+    reached = jit(reachable_cells)(belief)
+    expanding = frontiers.reference(belief, reached, expanding=expanding_kernel(SENSING_RANGE))
 
+    def first(values: Any) -> np.ndarray:
+        """The same with the maps along the first axis."""
+        return np.ascontiguousarray(np.moveaxis(np.asarray(values), -1, 0))
 
-def _peers(bench: Bench, maps: _Maps) -> Iterator[Row]:
-    """Libraries and the plain NumPy program."""
-    last = [jnp.moveaxis(jnp.asarray(cells), 0, -1) for cells in (maps.traversable, maps.goals)]
-    costs = np.moveaxis(np.asarray(search.cost_to_go(*last)), -1, 0)
-    cases: list[tuple[str, str, Callable[[int], Any], Any]] = [
-        (
-            "reachability",
-            "scipy.ndimage.label",
-            lambda n: libraries.reachable_scipy(maps.free[n], *maps.poses[n][:2]),
-            maps.reachable,
-        ),
-        (
-            "reachability",
-            "NumPy",
-            lambda n: numpy_gridworld.reachable(maps.free[n], *maps.poses[n][:2]),
-            maps.reachable,
-        ),
-        (
-            "frontier-expanding, reference",
-            "NumPy",
-            lambda n: numpy_gridworld.frontier_expanding_reference(
-                maps.seen[n], maps.reachable[n], maps.poses[n], SENSING_RANGE
-            ),
-            maps.subgoals,
-        ),
-        ("first action", "NumPy", lambda n: _first_actions(maps, n), maps.actions),
-        (
-            "cost-to-go, 8-connected",
-            "skimage.graph.MCP_Geometric",
-            lambda n: libraries.cost_to_go_skimage(maps.traversable[n], maps.goals[n]),
-            costs,
-        ),
+    boards = (belief.seen, belief.traversable, reached, world.traversable, world.goals)
+    cells = [bitboard.unpack(board, belief.width) for board in boards]
+    seen, free, reachable, ground, goals = map(first, cells)
+    costs, subgoals = first(search.cost_to_go(*cells[3:])), first(unpack(expanding, belief.width))
+    actions = search.first_action(belief.pose, expanding, reached).action
+    x, y, heading = (np.asarray(part).tolist() for part in (belief.pose.x, belief.pose.y, belief.pose.heading))
+    poses = list(zip(x, y, heading, strict=True))
+    plain_expanding = functools.partial(numpy_gridworld.frontier_expanding_reference, radius=SENSING_RANGE)
+
+    def plain_action(*arguments: Any) -> int:
+        return (numpy_gridworld.shortest_actions(*arguments) or [0])[0]
+
+    cases: list[tuple[str, str, Callable[..., Any], tuple[Any, ...], Any]] = [
+        ("reachability", "scipy.ndimage.label", reachable_scipy, (free, x, y), reachable),
+        ("reachability", "NumPy", numpy_gridworld.reachable, (free, x, y), reachable),
+        ("frontier-expanding, reference", "NumPy", plain_expanding, (seen, reachable, poses), subgoals),
+        ("first action", "NumPy", plain_action, (reachable, poses, subgoals), actions),
+        ("cost-to-go, 8-connected", "skimage.graph.MCP_Geometric", cost_to_go_skimage, (ground, goals), costs),
         (
             "first action to the goal",
             "skimage.graph.MCP (cells, turns not counted)",
-            lambda n: libraries.path_skimage(maps.traversable[n], *maps.poses[n][:2], maps.goals[n]),
+            path_skimage,
+            (ground, x, y, goals),
             None,
         ),
-        (
-            "cost-to-go, 8-connected",
-            "cv2.distanceTransform (ignores obstacles)",
-            lambda n: libraries.distance_opencv(maps.goals[n]),
-            None,
-        ),
+        ("cost-to-go, 8-connected", "cv2.distanceTransform (ignores obstacles)", distance_opencv, (goals,), None),
     ]
-    for what, by, function, expected in cases:
+    for what, by, function, maps, expected in cases:
         row = Row("kernels", what, by=by, unit=KERNEL_UNIT, batch=1, cells=bench.workload.cells, cores=1)
-        yield attempt(row, functools.partial(_peer, bench, row, maps.count, function, expected, 1e-5))
+        yield attempt(row, functools.partial(_peer, bench, row, function, maps, expected))
 
 
 def kernel_rows(bench: Bench) -> Iterator[Row]:
@@ -155,7 +121,7 @@ def kernel_rows(bench: Bench) -> Iterator[Row]:
         measured = bench.measure(functools.partial(compiled, *arguments))
         shares = bench.shares(measured.median, function, *arguments)
         yield own("kernels", what, KERNEL_UNIT, **case).with_figures(measured, float(batch), shares=shares)
-    yield from _peers(bench, _Maps(bench, 4 if bench.quick else 64))
+    yield from _peers(bench, 4 if bench.quick else 64)
 
 
 def network_row(bench: Bench, section: str, batch: int) -> Row:
