@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun, jaxprs_in_params
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun, jaxprs_in_params
 
 from dc2g_jax._src.runtime.programs import jit
 
@@ -30,23 +30,10 @@ class Work(NamedTuple):
     Attributes:
       operations: elements handled by elementwise and reducing operations. A word of 32 cells is one.
       bytes: read and written at the least: inputs and outputs once, and whatever a loop reads or carries once a turn.
-      turns: turns of all loops.
     """
 
     operations: int
     bytes: int
-    turns: int
-
-    def plus(self, other: "Work") -> "Work":
-        """Both together."""
-        return Work(*(a + b for a, b in zip(self, other, strict=True)))
-
-    def times(self, count: int) -> "Work":
-        """So many of them."""
-        return Work(*(count * value for value in self))
-
-
-_NOTHING = Work(0, 0, 0)
 
 
 def _size(variables: Sequence[Any]) -> int:
@@ -57,22 +44,19 @@ def _bytes(values: Sequence[Any]) -> int:
     return sum(np.asarray(value).nbytes for value in values)
 
 
-def _elementwise(jaxpr: Jaxpr) -> Work:
-    """Work of a straight program: one without loops and branches whose course depends on values."""
-    work = _NOTHING
-    for equation in jaxpr.eqns:
+def _operations(equations: Sequence[JaxprEqn]) -> int:
+    """Operations of a straight program: one without loops and branches whose course depends on values."""
+    count = 0
+    for equation in equations:
         name = equation.primitive.name
         if name in _ELEMENTWISE:
-            work = work.plus(Work(_size(equation.outvars), 0, 0))
+            count += _size(equation.outvars)
         elif name in _REDUCTIONS:
-            work = work.plus(Work(_size(equation.invars), 0, 0))
-        elif name == "scan":
-            inner = _elementwise(equation.params["jaxpr"].jaxpr)
-            work = work.plus(inner.plus(Work(0, 0, 1)).times(equation.params["length"]))
+            count += _size(equation.invars)
         else:
-            for inner_jaxpr in jaxprs_in_params(equation.params):
-                work = work.plus(_elementwise(inner_jaxpr))
-    return work
+            turns = equation.params["length"] if name == "scan" else 1
+            count += turns * sum(_operations(inner.eqns) for inner in jaxprs_in_params(equation.params))
+    return count
 
 
 def _branches(jaxpr: Jaxpr) -> bool:
@@ -88,19 +72,19 @@ class _Counter:
     """Runs a program equation by equation and counts."""
 
     def __init__(self) -> None:
-        self.work = _NOTHING
-        self._programs: dict[int, tuple[ClosedJaxpr, Callable[..., Any], Work]] = {}
+        self.operations = self.bytes = 0
+        self._programs: dict[int, tuple[ClosedJaxpr, Callable[..., Any], int]] = {}
 
     def call(self, closed: ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
         """Run a program: as a whole where it is straight, else step by step."""
         key = id(closed.jaxpr)
         if key not in self._programs:
             if _branches(closed.jaxpr):
-                self._programs[key] = (closed, lambda *values: self._steps(closed, values), _NOTHING)
+                self._programs[key] = (closed, lambda *values: self._steps(closed, values), 0)
             else:
-                self._programs[key] = (closed, jit(jaxpr_as_fun(closed)), _elementwise(closed.jaxpr))
-        _, run, work = self._programs[key]
-        self.work = self.work.plus(work)
+                self._programs[key] = (closed, jit(jaxpr_as_fun(closed)), _operations(closed.jaxpr.eqns))
+        _, run, operations = self._programs[key]
+        self.operations += operations
         return list(run(*arguments))
 
     def _steps(self, closed: ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
@@ -128,8 +112,7 @@ class _Counter:
             return self.call(params[_CALLS[name]], inputs)
         if any(_branches(inner) for inner in jaxprs_in_params(params)):
             raise NotImplementedError(f"cannot count inside {name}")
-        straight = jax.make_jaxpr(lambda *values: equation.primitive.bind(*values, **params))(*inputs)
-        self.work = self.work.plus(_elementwise(straight.jaxpr))
+        self.operations += _operations([equation])
         outputs = equation.primitive.bind(*inputs, **params)
         return list(outputs) if equation.primitive.multiple_results else [outputs]
 
@@ -138,10 +121,10 @@ class _Counter:
         cond_consts, body_consts, carry = inputs[:n_cond], inputs[n_cond : n_cond + n_body], inputs[n_cond + n_body :]
         # A loop that holds another leaves the counting of bytes to it.
         outer = _branches(params["body_jaxpr"].jaxpr)
-        a_turn = Work(0, 0 if outer else _bytes(body_consts) + 2 * _bytes(carry), 1)
+        bytes_a_turn = 0 if outer else _bytes(body_consts) + 2 * _bytes(carry)
         while bool(self.call(params["cond_jaxpr"], [*cond_consts, *carry])[0]):
             carry = self.call(params["body_jaxpr"], [*body_consts, *carry])
-            self.work = self.work.plus(a_turn)
+            self.bytes += bytes_a_turn
         return carry
 
     def _scan(self, params: dict[str, Any], inputs: list[Any]) -> list[Any]:
@@ -153,7 +136,6 @@ class _Counter:
             found = self.call(params["jaxpr"], [*consts, *carry, *(leaf[row] for leaf in given)])
             carry = found[:n_carry]
             made.append(found[n_carry:])
-            self.work = self.work.plus(Work(0, 0, 1))
         if params["reverse"]:
             made.reverse()
         return [*carry, *map(jnp.stack, zip(*made, strict=True))]
@@ -164,4 +146,4 @@ def count_work(function: Callable[..., Any], *arguments: Any) -> Work:
     flat = jax.tree.leaves(arguments)
     counter = _Counter()
     outputs = counter.call(jax.make_jaxpr(function)(*arguments), flat)
-    return counter.work.plus(Work(0, _bytes(flat) + _bytes(outputs), 0))
+    return Work(counter.operations, counter.bytes + _bytes(flat) + _bytes(outputs))
