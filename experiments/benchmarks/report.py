@@ -69,11 +69,14 @@ def line_of(row: Row) -> str:
     return " | ".join(cell for cell in cells_of(row) if cell)
 
 
-def _table(rows: Sequence[Row]) -> list[list[str]]:
-    """Rows of text, without columns that stay empty."""
-    texts = [cells_of(row) for row in rows]
-    used = [column for column in range(len(_COLUMNS)) if any(text[column] for text in texts)]
-    return [[text[column] for column in used] for text in [list(_COLUMNS), *texts]]
+def _tables(rows: Sequence[Row]) -> dict[str, list[list[str]]]:
+    """By heading, the rows of a section as text, without columns that stay empty."""
+    tables = {}
+    for section, heading in SECTIONS.items():
+        if texts := [cells_of(row) for row in rows if row.section == section]:
+            used = [column for column in range(len(_COLUMNS)) if any(text[column] for text in texts)]
+            tables[heading] = [[text[column] for column in used] for text in [list(_COLUMNS), *texts]]
+    return tables
 
 
 def _markdown(table: Sequence[Sequence[str]]) -> list[str]:
@@ -86,14 +89,9 @@ def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]
 
 
-def _by_section(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    return {section: own for section in SECTIONS if (own := [row for row in rows if row.section == section])}
-
-
 def text(rows: Sequence[Row]) -> str:
     """The table for the screen."""
-    parts = [[SECTIONS[section], *_aligned(_table(own)), ""] for section, own in _by_section(rows).items()]
-    return "\n".join(line for part in parts for line in part)
+    return "\n".join("\n".join([heading, *_aligned(table), ""]) for heading, table in _tables(rows).items())
 
 
 def peak_lines(peaks: Mapping[str, Peak]) -> list[str]:
@@ -114,7 +112,7 @@ def write(
     machine = [f"- {name}: {value}" for name, value in facts["machine"].items()]
     lines = ["# Benchmark", "", *machine, *(f"- {line}" for line in peak_lines(peaks)), ""]
     lines += [facts["about"], ""]
-    for section, own in _by_section(rows).items():
-        lines += [f"## {SECTIONS[section]}", "", *_markdown(_table(own)), ""]
+    for heading, table in _tables(rows).items():
+        lines += [f"## {heading}", "", *_markdown(table), ""]
     (folder / f"{name}.md").write_text("\n".join(lines))
     return [folder / f"{name}.json", folder / f"{name}.md"]

@@ -59,7 +59,6 @@ def training_rows(
         for number in range(n_runs)
     ]
     training = CostToGoTraining(configs[0].recipe, DataConfig(extra_houses=0).draw_batch)
-    meshes = {"together": mesh_for_batch(batch, n_runs), "one after another": mesh_for_batch(batch)}
 
     def trained(
         step: Callable[..., Any], states: list[TrainingState], numbers: list[Hyperparameters]
@@ -72,18 +71,14 @@ def training_rows(
                 losses.append(loss)
         return losses
 
-    def firsts() -> list[TrainingState]:
-        return [training.first_state(each.hyperparameters) for each in configs]
-
-    begun: dict[str, Callable[[], tuple[list[TrainingState], list[Hyperparameters]]]] = {
-        "together": lambda: ([stacked(firsts())], [stacked([each.hyperparameters for each in configs])]),
-        "one after another": lambda: (firsts(), [each.hyperparameters for each in configs]),
-    }
     reuse_memory()  # as a training does
     for way in ways:
         row = own("training", f"{n_runs} runs {way}", "runs/h", batch=batch, cells=bench.workload.cells)
-        states, numbers = begun[way]()
-        states, mesh = [placed(state, meshes[way]) for state in states], meshes[way]
+        numbers = [each.hyperparameters for each in configs]
+        states, mesh = [training.first_state(each) for each in numbers], mesh_for_batch(batch)
+        if way == "together":
+            states, numbers, mesh = [stacked(states)], [stacked(numbers)], mesh_for_batch(batch, n_runs)
+        states = [placed(state, mesh) for state in states]
         step = functools.partial(supervised_step, data=replicate(_data(bench), mesh), training=training, mesh=mesh)
         measured = bench.measure(functools.partial(trained, step, states, numbers))
         facts = {"steps of a run/s": steps / measured.median}
