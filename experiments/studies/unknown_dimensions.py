@@ -6,18 +6,21 @@ else, including the starts, is the same.
 
 import dataclasses
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.estimators import Estimator, trait
 from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import UNKNOWN
 from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS
@@ -26,13 +29,14 @@ from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
 from dc2g_jax._src.rollouts.results import Results, as_text
 from dc2g_jax._src.runtime.errors import InputError
+from dc2g_jax._src.runtime.programs import jit
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 from dc2g_jax.families.procedural.suburbs import SUBURBS
 from experiments.support.neighborhoods import draw_neighborhood
 
-from ..benchmarks.decisions import milliseconds
 from ..benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
+from ..benchmarks.timing import measure
 
 #: Seeds of the procedural houses and neighborhoods of a split. Training uses smaller ones.
 SEEDS = {"val": 10_000, "test": 10_001}
@@ -113,6 +117,25 @@ def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
     worlds |= {f"{name}_open": open_ended(one) for name, one in worlds.items()}
     worlds |= {f"rows_{doors}_doors": neighborhoods(options, doors) for doors in options.doors}
     return {name: one for name, one in worlds.items() if one.starts}
+
+
+@jit
+def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
+    """The mean estimate for a robot in the middle of a map."""
+    pose, extent = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0), trait(estimator, "extent")
+    outcomes = estimator.estimate(extent.part(terrain, pose), ())
+    return extent.merged(jnp.mean(outcomes, axis=0, keepdims=True), pose, before)
+
+
+def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str, float]:
+    """Duration of one estimate by planner name, for a single map whose middle has been observed."""
+    rows, columns = house.terrain.shape
+    terrain = np.zeros_like(house.terrain)
+    middle = slice(rows // 4, -rows // 4), slice(columns // 4, -columns // 4)
+    terrain[middle] = house.terrain[middle]
+    before = jnp.zeros((1, rows, columns))
+    times = {name: measure(lambda: _ask(one, terrain, before), repeats=9).median for name, one in estimators.items()}  # noqa: B023
+    return {name: round(1e3 * seconds, 2) for name, seconds in times.items()}
 
 
 def main(options: Options) -> None:
