@@ -26,7 +26,7 @@ from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.progress import EpisodeProgress
 from experiments.driving.drive import Equipment
 from experiments.support.drive_figures import plot_noise
-from experiments.support.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
+from experiments.support.driving import DriveResult, DrivingOptions, drive_all, equipment, summarize_drives
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,9 +83,13 @@ def main(options: Options) -> None:
             "extra": summary["mean_extra"], "median_extra": summary["median_extra"], "success": summary["success"],
         }  # fmt: skip
     (out / "drives").mkdir(exist_ok=True)
+    progress = EpisodeProgress()
 
     def run(name: str, robot: Equipment, *, knows_map: bool = False) -> list[DriveResult]:
-        go = functools.partial(drive, name, houses, starts, robot, options.seed, options, knows_map=knows_map)
+        go = functools.partial(
+            drive_all, robot, houses, starts, seed=options.seed, pedestrians=options.pedestrians, knows_map=knows_map,
+            on_progress=lambda ended: progress(name, ended, len(starts)),
+        )  # fmt: skip
         table = ResumableTable(out / "drives" / f"{name}.csv", DriveResult)
         return table.next_results([start[:4] for start in starts], go)
 

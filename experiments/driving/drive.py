@@ -13,7 +13,7 @@ up.
 The vehicle avoids the people that its camera has shown in the last few seconds. What a frame tells of them is exact;
 afterwards they are supposed to walk on as they did.
 
-All functions take one robot; `fleet` runs many.
+All functions take one robot; `support.driving` runs many.
 """
 
 import dataclasses

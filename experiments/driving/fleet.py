@@ -1,43 +1,22 @@
-"""Episodes of robots in the whole loop: many at once over all devices, or one frame by frame for figures."""
+"""Houses to drive in, and one episode of a robot in the whole loop, frame by frame for figures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.grid import Pose, belief_from_map
 from dc2g_jax.planning import assess, complete_rules
-from dc2g_jax.robot.driving.robot import is_driving, run_all
+from dc2g_jax.robot.driving.robot import is_driving
 from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleState
 from dc2g_jax.robot.mapping.camera import Frame
 from dc2g_jax.robot.mapping.scene import scene_from_terrain
 from dc2g_jax.robot.mapping.simulator import picture
 from dc2g_jax.runtime import InputError, jit
-from experiments.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, reset, sensed, step
-
-#: Control periods that the first call of the device drives.
-_FIRST_PERIODS = 10
-
-
-@struct.dataclass
-class Drives:
-    """Results of the drives, in the order of the episodes.
-
-    Attributes:
-      seconds: duration of the episode.
-      status: how it ended, see `drive`; `DRIVING` where time was up.
-      off_ground: seconds for which the footprint touched ground where it should not be.
-      touched: seconds for which it touched a pedestrian.
-    """
-
-    seconds: Float[np.ndarray, "episodes"]
-    status: Int[np.ndarray, "episodes"]
-    off_ground: Float[np.ndarray, "episodes"]
-    touched: Float[np.ndarray, "episodes"]
+from experiments.driving.drive import Equipment, Robot, Site, believed, outdoor_camera, sensed, step
 
 
 def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
@@ -55,41 +34,6 @@ def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
         raise InputError(f"houses of {found or 'no'} cells: give one at least, all of one size")
     sites = [Site(terrain=jnp.asarray(terrain), scene=scene_from_terrain(terrain)) for terrain in terrains]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites)
-
-
-def drive_all(
-    equipment: Equipment,
-    sites: Site,
-    index: Int[Array, "episodes"],
-    start: Pose,
-    *,
-    seed: int = 0,
-    pedestrians: int = 0,
-    knows_map: bool = False,
-    time_limit: float = 500.0,
-    on_progress: Callable[[int], None] | None = None,
-) -> Drives:
-    """Drive every episode to its end: a front door, nothing left to explore, or the time limit.
-
-    Args:
-      equipment: components of the robots.
-      sites: houses, stacked along the first axis.
-      index: index of the house of each episode, of one at least.
-      start: first pose of each episode.
-      seed: seed of noise and pedestrians.
-      pedestrians: number of pedestrians in each episode.
-      knows_map: whether the robots know the map beforehand.
-      time_limit: seconds after which an episode ends without success.
-      on_progress: called now and then with the number of episodes that have ended.
-    """
-    own = start, np.full(len(index), knows_map)
-    status, *periods = run_all(
-        reset, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
-        own, index, sites, equipment, seed=seed, number=pedestrians,
-        limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS, on_progress=on_progress,
-    )  # fmt: skip
-    seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
-    return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
 
 
 class Moment(NamedTuple):

@@ -1,7 +1,7 @@
 """Robots that drive with a camera: their equipment, and drives from many starts."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -18,14 +18,14 @@ from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
 from dc2g_jax._src.runtime.errors import check_number
-from dc2g_jax._src.runtime.progress import EpisodeProgress
-from dc2g_jax.robot.driving.vehicle import VehicleLimits
+from dc2g_jax.robot.driving.robot import run_all
+from dc2g_jax.robot.driving.vehicle import CONTROL_PERIOD, VehicleLimits
 from dc2g_jax.robot.mapping.camera import intrinsics
 from dc2g_jax.robot.mapping.noise import PAPER_LIKE
 from dc2g_jax.robot.mapping.scene import CELL_SIZE
 from dc2g_jax.robot.mapping.semantic_map import MapSettings
-from experiments.driving.drive import ARRIVED, Equipment
-from experiments.driving.fleet import drive_all, sites_of
+from experiments.driving.drive import ARRIVED, Equipment, reset, step
+from experiments.driving.fleet import sites_of
 
 #: Sensing range that the planner assumes, in cells, and field of view of the camera.
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
@@ -36,6 +36,9 @@ STATUS_NAMES: tuple[StatusName, ...] = get_args(StatusName)
 
 #: Seconds after which an episode ends without success: one per gridworld step of the published maps' step limit.
 SECONDS_LIMIT = 500.0
+
+#: Control periods that the first call of the device drives.
+_FIRST_PERIODS = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,32 +107,33 @@ class DriveResult(NamedTuple):
     touched: float
 
 
-def drive(
-    name: str, houses: Sequence[House], starts: Sequence[Start], robot: Equipment, seed: int, options: DrivingOptions,
-    *, knows_map: bool = False,
+def drive_all(
+    robot: Equipment, houses: Sequence[House], starts: Sequence[Start], *, seed: int = 0, pedestrians: int = 0,
+    knows_map: bool = False, time_limit: float = SECONDS_LIMIT, on_progress: Callable[[int], None] | None = None,
 ) -> list[DriveResult]:  # fmt: skip
-    """Drive from every start.
+    """Drive from every start to the end: a front door, nothing left to explore, or the time limit.
 
     Args:
-      name: title of the progress bar.
+      robot: equipment of the robots.
       houses: houses of the starts; all of one size.
       starts: first poses.
-      robot: equipment of the robots.
       seed: seed of noise and pedestrians.
-      options: options of the command.
+      pedestrians: number of pedestrians in each episode.
       knows_map: whether the robots know the map in advance.
+      time_limit: seconds after which an episode ends without success.
+      on_progress: called now and then with the number of episodes that have ended.
     """
-    episodes = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
-    sites = sites_of([house.terrain for house in houses])
-    progress = EpisodeProgress()
-    drives = drive_all(
-        robot, sites, *episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
-        time_limit=SECONDS_LIMIT, on_progress=lambda ended: progress(name, ended, len(starts)),
+    index, poses = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
+    status, *periods = run_all(
+        reset, step, lambda robots: (robots.status, robots.periods, robots.off_ground, robots.touched),
+        (poses, np.full(len(starts), knows_map)), index, sites_of([house.terrain for house in houses]), robot,
+        seed=seed, number=pedestrians, limit=round(time_limit / CONTROL_PERIOD), first_steps=_FIRST_PERIODS,
+        on_progress=on_progress,
     )  # fmt: skip
-    times = np.round([drives.seconds, drives.off_ground, drives.touched], 2).T.tolist()
+    times = np.round(CONTROL_PERIOD * np.array(periods), 2).T.tolist()
     return [
-        DriveResult(*start[:4], seconds, STATUS_NAMES[status], off_ground, touched)
-        for start, status, (seconds, off_ground, touched) in zip(starts, drives.status, times, strict=True)
+        DriveResult(*start[:4], seconds, STATUS_NAMES[ending], off_ground, touched)
+        for start, ending, (seconds, off_ground, touched) in zip(starts, status, times, strict=True)
     ]
 
 

@@ -186,14 +186,14 @@ def unknown_dimensions_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -
 
 
 def noisy_mapping_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    def drive(name, houses, starts, *args, **options) -> list[DriveResult]:
-        return [DriveResult(*start[:4], 5.0 + len(name), "arrived", 0.0, 0.0) for start in starts]
+    def drive_all(noise, houses, starts, **options) -> list[DriveResult]:
+        return [DriveResult(*start[:4], 5.0 + noise, "arrived", 0.0, 0.0) for start in starts]
 
     _episodes(patch)
     network = network_in_folder()
     patch.setattr(noisy_mapping, "load_network", lambda place: network)
-    patch.setattr(noisy_mapping, "equipment", lambda *args: None)
-    patch.setattr(noisy_mapping, "drive", drive)
+    patch.setattr(noisy_mapping, "equipment", lambda planner, network, size, noise, options: noise)
+    patch.setattr(noisy_mapping, "drive_all", drive_all)
     patch.setattr(noisy_mapping, "plot_noise", fake_figure)
     return _command(noisy_mapping, noisy_mapping.Options(dataset=dataset, starts_per_house=2, levels=(0.0, 1.0)))
 
