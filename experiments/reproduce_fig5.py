@@ -36,7 +36,7 @@ from experiments.translator.network import (
     with_statistics,
 )
 from experiments.translator.pairs import ImageSet, MaskKind, draw_image_pairs, image_set
-from experiments.translator.training import TRANSLATOR_LOSSES, TranslatorConfig, TranslatorTraining
+from experiments.translator.training import TRANSLATOR_LOSSES, DrawImages, TranslatorConfig, TranslatorTraining
 
 #: Steps between progress updates. A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
@@ -96,6 +96,11 @@ class TranslationOptions(Pauses):
         if self.normalization == "batch":
             require_memory(_IMAGES_OF_STATISTICS * images, f"--size {self.size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
+
+    def draw(self, batch_size: int) -> DrawImages:
+        """Draws the pairs of a step."""
+        augment = not self.no_augment
+        return partial(draw_image_pairs, batch_size=batch_size, whole_share=self.whole_share, augment=augment)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +163,6 @@ def train_translators(
     Raises:
       InputError: a folder holds a run with other options.
     """
-    draw = partial(draw_image_pairs, whole_share=options.whole_share, augment=not options.no_augment)
     configs = {run: dataclasses.replace(config, seed=seed) for run, seed in seeds.items()}
     card = {
         "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
@@ -172,8 +176,7 @@ def train_translators(
 
     @cache
     def some_images() -> Array:
-        drawn = jit(partial(draw, batch_size=_IMAGES_OF_STATISTICS))(jax.random.key(0), jnp.int32(0), data.train)
-        return drawn.image
+        return jit(options.draw(_IMAGES_OF_STATISTICS))(jax.random.key(0), jnp.int32(0), data.train).image
 
     def generator(weights: Any) -> Any:
         if config.architecture.normalization == "instance":
@@ -195,7 +198,7 @@ def train_translators(
 
     options_of_data = ("masks", "train_masks", "whole_share", "no_augment")
     task = Task(
-        training=TranslatorTraining(config, partial(draw, batch_size=config.batch_size)),
+        training=TranslatorTraining(config, options.draw(config.batch_size)),
         data=data.train,
         runs=configs,
         steps=options.steps,

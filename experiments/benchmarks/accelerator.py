@@ -27,7 +27,7 @@ from dc2g_jax.indoor.search.agent import Agent
 from dc2g_jax.indoor.search.guides import agent_with
 from dc2g_jax.indoor.search.searches import TIME_LIMIT, sample_episodes, search_all
 from experiments.reproduce_fig5 import TranslationOptions
-from experiments.translator.pairs import draw_image_pairs, image_set
+from experiments.translator.pairs import image_set
 from experiments.translator.training import TranslatorTraining
 
 from .bench import SENSING_RANGE, Bench, own
@@ -140,11 +140,8 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     options = TranslationOptions(size=32, base_filters=4) if bench.quick else TranslationOptions()
     config, steps = options.config("l1+gan"), 2 if bench.quick else _STEPS
     data = image_set(dataset, "train", size=options.size, masks=options.masks, per_house=1)
-    draw = functools.partial(
-        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
-    )
     mesh = mesh_for_batch(config.batch_size)
-    training = TranslatorTraining(config, draw)
+    training = TranslatorTraining(config, options.draw(config.batch_size))
     state, pairs = replicate((training.first_state(config.hyperparameters), data), mesh)
 
     def train() -> jax.Array:

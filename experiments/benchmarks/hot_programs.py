@@ -33,8 +33,8 @@ from experiments.driving import drive
 from experiments.driving.drive import Site
 from experiments.reproduce_fig5 import TranslationOptions
 from experiments.support.driving import DrivingOptions, equipment
-from experiments.translator import training as translator
-from experiments.translator.pairs import ImageSet, draw_image_pairs
+from experiments.translator.pairs import ImageSet
+from experiments.translator.training import TranslatorTraining
 
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
 _CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64
@@ -136,10 +136,7 @@ def _translator_step(mesh: Mesh) -> HotProgram:
         pair_house=pairs,
         pair_mask=pairs,
     )
-    draw = functools.partial(
-        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
-    )
-    training = translator.TranslatorTraining(config, draw)
+    training = TranslatorTraining(config, options.draw(config.batch_size))
     seed = _array(dtype=jnp.uint32)
     state = jax.eval_shape(training.first_state, seed)
     return _step_program("learn", training, data, state, seed, mesh, config.batch_size)

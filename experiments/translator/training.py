@@ -61,7 +61,7 @@ class TranslatorConfig:
 
 
 #: `(key of the run, step, data) -> batch`
-_DrawImages = Callable[[Array, Array, Any], ImagePair]
+DrawImages = Callable[[Array, Array, Any], ImagePair]
 
 
 def _keys(seed: UInt32[Array, ""]) -> Array:
@@ -107,7 +107,7 @@ class TranslatorTraining(Supervised):
     """
 
     config: TranslatorConfig
-    draw_batch: _DrawImages
+    draw_batch: DrawImages
 
     @property
     def batch_size(self) -> int:
