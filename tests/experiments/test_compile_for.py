@@ -12,11 +12,9 @@ import pytest
 from dc2g_jax._src.runtime.devices import mesh_of
 from dc2g_jax._src.runtime.errors import InputError
 from experiments import compile_for
-from experiments.benchmarks import compiled_for
-from experiments.benchmarks.compiled_for import Cost, Target, lowered, step_of
 from experiments.benchmarks.hot_programs import hot_programs
 from experiments.benchmarks.launches import Launches, count_launches
-from experiments.compile_for import Options, main
+from experiments.compile_for import Cost, Options, Target, lowered, main, step_of
 from tests.support.refusals import refusal
 
 #: All programs, for few robots.
@@ -137,9 +135,9 @@ def test_the_extra_is_asked_for_where_it_is_missing(monkeypatch):
     def missing(**_):
         raise NotImplementedError("topology not implemented for cuda")
 
-    monkeypatch.setattr(compiled_for.topologies, "get_topology_desc", missing)
+    monkeypatch.setattr(compile_for.topologies, "get_topology_desc", missing)
     with pytest.raises(InputError, match=r"not installed.*cuda-compile"):
-        compiled_for.open_target("h100")
+        compile_for.open_target("h100")
 
 
 @pytest.mark.slow
