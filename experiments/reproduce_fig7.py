@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, command_line, digests, network_for
@@ -18,6 +17,7 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.figures._sheets import spread
 from dc2g_jax._src.figures.episode_figures import plot_episode
 from dc2g_jax._src.figures.replay import replay_result
 from dc2g_jax._src.figures.results_figures import plot_results
@@ -75,13 +75,13 @@ def drawn(planners: Sequence[str]) -> list[str]:
 
 
 def record(
-    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: Estimator | None, count: int
+    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: Estimator | None
 ) -> None:
-    """Write rerun recordings and figures of `count` episodes, spread evenly."""
+    """Write rerun recordings and figures of `_RECORDED` episodes, spread evenly."""
     rules = SETTINGS[settings].rules()
     planners = list(dict.fromkeys(result.planner for result in results))
     n_starts = len(results) // len(planners)
-    chosen = sorted(set(np.linspace(0, n_starts - 1, min(count, n_starts)).round().astype(int).tolist()))
+    chosen = spread(n_starts - 1, min(_RECORDED, n_starts))
     for number in tqdm(chosen, desc=f"{'recordings':>16}", unit="episode", file=sys.stderr):
         by_planner = {result.planner: result for result in results[number::n_starts] if result.planner != "oracle"}
         start = results[number]
@@ -195,7 +195,7 @@ def main(options: Options) -> None:
         compared = [result for result in part if result.planner in drawn(options.planner)]
         plot_results(compared, out / f"houses_{settings}", groups[settings], f"{TITLES[settings]} ({label})")
         if options.record:
-            record(out, dataset, settings, part, network, _RECORDED)
+            record(out, dataset, settings, part, network)
     facts = {
         "dataset": dataset.name,
         "source": dataset.source,

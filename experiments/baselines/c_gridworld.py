@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .problem import BASELINES, BaselineName, BaselineUnavailable, HeadingOffsets, Outcome, Problem, empty_outcome
+from .problem import BASELINES, BaselineName, BaselineUnavailable, Outcome, Problem, empty_outcome
 
 _SOURCE = Path(__file__).with_name("gridworld.c")
 FLAGS = ("-std=c99", "-O3", "-march=native", "-shared", "-fPIC")
@@ -54,10 +54,6 @@ def _address(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def _addresses(offsets: HeadingOffsets) -> list[ctypes.c_void_p]:
-    return [_address(array) for array in offsets]
-
-
 def _run(problem: Problem, planner: BaselineName) -> Outcome:
     """Run every episode, one after another."""
     outcome = empty_outcome(problem)
@@ -70,8 +66,8 @@ def _run(problem: Problem, planner: BaselineName) -> Outcome:
         len(problem.world),
         _address(problem.world),
         _address(problem.start),
-        *_addresses(problem.sensing),
-        *_addresses(problem.expanding),
+        *map(_address, problem.sensing),
+        *map(_address, problem.expanding),
         BASELINES.index(planner),
         problem.step_limit,
         _address(outcome.steps),

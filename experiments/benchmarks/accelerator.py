@@ -15,7 +15,6 @@ from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.readers.starts import published_episodes, sample_starts
 from dc2g_jax._src.rollouts.evaluation import Runner
-from dc2g_jax._src.rollouts.results import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import rollout
 from dc2g_jax._src.runtime.devices import mesh_for_batch, replicate
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
@@ -105,11 +104,6 @@ def _batches(bench: Bench, robots: int) -> Iterator[Row]:
         yield from planner_batches(bench, [planner], sorted({min(size, robots) for size in sizes}))
 
 
-def _steps_of_all(row: Row, run: Callable[[], Sequence[EpisodeResult]]) -> Row:
-    measured = _once(lambda: np.array([result.steps for result in run()]))
-    return row.with_figures(measured, float(len(measured.output)))
-
-
 def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     """All episodes of Fig. 7 with all its planners, from starts to results, without figures and files."""
     planners = ("oracle",) if bench.quick else FIGURE_PLANNERS
@@ -119,11 +113,12 @@ def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
         settings, starts = "paper", sample_starts(dataset.split("test")[: 2 if bench.quick else None], 10, seed=0)
     row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")
 
-    def run() -> list[EpisodeResult]:
+    def run() -> np.ndarray:
         # A runner keeps the oracle's results, so each call needs a new one.
-        return Runner(dataset, SETTINGS[settings]).run(starts, planners, bench.network)
+        results = Runner(dataset, SETTINGS[settings]).run(starts, planners, bench.network)
+        return np.array([result.steps for result in results])
 
-    yield attempt(row, functools.partial(_steps_of_all, row, run))
+    yield attempt(row, lambda: row.with_figures(_once(run), float(len(starts) * len(planners))))
 
 
 def _training(bench: Bench, runs: Sequence[int]) -> Iterator[Row]:

@@ -10,18 +10,14 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from dc2g_jax._src.runtime.programs import jit
 
+from .timing import device_memory
+
 #: A program may need so much of the memory.
 _MOST_MEMORY = 0.5
 
 
 class TooLarge(Exception):
     """A program needs more memory than there is to spare."""
-
-
-def device_memory() -> int:
-    """Memory of the first device, in bytes."""
-    limits = jax.local_devices()[0].memory_stats() or {}
-    return int(limits.get("bytes_limit", os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
 
 
 @contextlib.contextmanager
@@ -48,6 +44,7 @@ def compile_program(function: Callable[..., Any], *arguments: Any) -> tuple[Call
     compiled = jit(function).lower(*arguments).compile()
     analysis = compiled.memory_analysis()
     memory = analysis.temp_size_in_bytes + analysis.argument_size_in_bytes + analysis.output_size_in_bytes
-    if memory > _MOST_MEMORY * device_memory():
+    there = device_memory("bytes_limit") or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if memory > _MOST_MEMORY * there:
         raise TooLarge(f"needs {memory / 2**30:.1f} GiB of memory")
     return compiled, memory

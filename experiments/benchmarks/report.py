@@ -39,10 +39,8 @@ def in_short(value: float | None) -> str:
 def _seconds(value: float | None) -> str:
     if value is None:
         return ""
-    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us")):
-        if value >= scale or unit == "us":
-            return f"{value / scale:.3g} {unit}"
-    return ""
+    scale, unit = (1.0, "s") if value >= 1 else (1e-3, "ms") if value >= 1e-3 else (1e-6, "us")
+    return f"{value / scale:.3g} {unit}"
 
 
 def cells_of(row: Row) -> list[str]:
@@ -51,11 +49,11 @@ def cells_of(row: Row) -> list[str]:
     if row.missing is not None:
         more = row.missing
     else:
-        facts = [f"{name} {in_short(value)}" for name, value in row.facts.items() if name != "same actions"]
-        same = row.facts.get("same actions", row.facts.get("same answer"))
-        facts = [fact for fact in facts if not fact.startswith("same answer")]
-        if same is not None:
-            facts.append("same answer" if same == 1.0 else "ANOTHER ANSWER")
+        agreements = ("same actions", "same answer")
+        facts = [f"{name} {in_short(value)}" for name, value in row.facts.items() if name not in agreements]
+        facts += [
+            "same answer" if row.facts[name] == 1.0 else "ANOTHER ANSWER" for name in agreements if name in row.facts
+        ]
         if row.added_memory is not None and row.added_memory >= 2**20:
             facts.append(f"{row.added_memory / 2**20:,.0f} MiB more memory")
         more = ", ".join(facts)

@@ -38,11 +38,6 @@ def _planner_steps(bench: Bench, planner: str, row: Row, batch: int) -> Row:
     return row.with_figures(measured, units, facts={"program, MiB": memory / 2**20})
 
 
-def _slots(bench: Bench, row: Row, batch: int) -> Row:
-    """Whole episodes with so many slots on each core or accelerator."""
-    return own_episodes(bench, row, bench.workload, "frontier", slots=batch)[0]
-
-
 def planner_batches(bench: Bench, planners: Sequence[str], batches: Sequence[int]) -> Iterator[Row]:
     """Planner steps of larger and larger batches of robots in the middle of their episodes."""
     case = {"cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
@@ -54,14 +49,18 @@ def planner_batches(bench: Bench, planners: Sequence[str], batches: Sequence[int
 def batch_rows(bench: Bench) -> Iterator[Row]:
     """Batches from one to very many: robots, environments, maps."""
     batches = (4,) if bench.quick else tuple(4**power for power in range(9))
-    case = {"cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
+    workload = bench.workload
+    case = {"cells": workload.cells, "sensing_range": SENSING_RANGE}
     yield from planner_batches(bench, ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"), batches)
     if not bench.quick:
         row = own("batch", "frontier, whole episodes by slots", PLANNER_UNIT, **case)
-        yield from growing([size for size in batches if size <= 256], row, functools.partial(_slots, bench))
+        sizes = [size for size in batches if size <= 256]  # slots on each core or accelerator
+        yield from growing(
+            sizes, row, lambda row, batch: own_episodes(bench, row, workload, "frontier", slots=batch)[0]
+        )
     row = own("batch", "environment, random actions", ENVIRONMENT_UNIT, **case)
     yield from growing(batches, row, lambda row, batch: own_steps(bench, row, batch))
-    row = own("batch", "network", "maps", cells=bench.workload.cells)
+    row = own("batch", "network", "maps", cells=workload.cells)
     yield from growing(batches, row, lambda row, batch: network_row(bench, "batch", batch))
     yield from peers(bench, "batch", batches[:1] if bench.quick else batches[::2])
 

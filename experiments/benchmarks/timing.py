@@ -84,7 +84,7 @@ def text_of(path: str) -> str:
         return ""
 
 
-def _device_memory(name: str) -> int | None:
+def device_memory(name: str) -> int | None:
     """The first device's own count of its memory, where it keeps one."""
     return (jax.local_devices()[0].memory_stats() or {}).get(name)
 
@@ -101,10 +101,10 @@ def held_memory() -> int:
     """Bytes held now; from here on `peak_memory` counts afresh, where the system can do that."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
-    return _device_memory("bytes_in_use") or _process_memory("VmRSS") or 0
+    return device_memory("bytes_in_use") or _process_memory("VmRSS") or 0
 
 
 def peak_memory() -> int:
     """Most bytes held since `held_memory`: the device's own count, else the process's resident memory."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return _device_memory("peak_bytes_in_use") or _process_memory("VmHWM") or most
+    return device_memory("peak_bytes_in_use") or _process_memory("VmHWM") or most

@@ -143,11 +143,6 @@ def _mean_estimate(estimator: Estimator, terrain: UInt8[Array, "h w *batch"]) ->
     return jnp.mean(estimator.estimate(terrain, ()), axis=0)
 
 
-@jit
-def _chances(network: ExpectedDistance, terrain: UInt8[Array, "h w *batch"]) -> Float[Array, "h w *batch"]:
-    return network.chances(terrain)
-
-
 class Judge:
     """Validation pairs without a goal in view, and how well an estimator does on them."""
 
@@ -185,7 +180,7 @@ class Judge:
 
     def place(self, network: ExpectedDistance) -> dict[str, float]:
         """Of a network that predicts the goal's place: AUC of goal cells, nats, and those of chance in unseen cells."""
-        chances = np.moveaxis(np.asarray(_chances(network, self.terrain)), -1, 0)
+        chances = np.moveaxis(np.asarray(jit(ExpectedDistance.chances)(network, self.terrain)), -1, 0)
         goals, unseen = np.asarray(self.cost.target) == 0, np.asarray(self.cost.terrain) == 0
         areas = [np.mean(one[goal].max() > one[~goal]) for one, goal in zip(chances, goals, strict=True)]
         found = -np.log(np.sum(chances * goals, axis=(1, 2)))

@@ -91,11 +91,8 @@ def compare(
 def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list[dict[str, float]]:
     """Metrics of an estimator on fully observed maps, one entry per house (Fig. 6)."""
     everything = jnp.ones((1, 1), bool)
-    rows = []
-    for image in images:
-        terrain, cost = map_for(estimator, image)
-        rows.append(as_floats(compare(estimator, jnp.asarray(terrain), jnp.asarray(cost), everything)[0]))
-    return rows
+    maps = (map(jnp.asarray, map_for(estimator, image)) for image in images)
+    return [as_floats(compare(estimator, terrain, cost, everything)[0]) for terrain, cost in maps]
 
 
 def distances_from_training(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
