@@ -17,6 +17,7 @@ from dc2g_jax._src.estimation.compact_unet import (
     unpatched as unpatched,
 )
 from dc2g_jax._src.estimation.estimators import (
+    Ensemble as Ensemble,
     Estimator as Estimator,
     ExactCostToGo as ExactCostToGo,
     NetworkCostToGo as NetworkCostToGo,

@@ -1,5 +1,6 @@
 """Who is asked for an estimate, and when."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -8,19 +9,25 @@ import numpy as np
 import pytest
 from flax import struct
 
+import dc2g_jax as dc2g
+from dc2g_jax._src.estimation.checkpoints import SHIPPED_NETWORK, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, trait, update_where
 from dc2g_jax._src.estimation.padding import PaddedNetwork, padded
+from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
 from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning.learned_score import LearnedScore
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, TO_GOAL
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.planning.selection import ExpectedCost, linear
 from tests.support import maps
 from tests.support.networks import random_network
+from tests.support.refusals import refusal
 
 SHAPE = (7, 33)
 asked: list[int] = []
@@ -139,3 +146,25 @@ def test_an_estimator_of_any_class_has_the_traits_of_the_protocol():
         assert [trait(estimator, name) for name in ("side", "is_compact", "extent")] == [None, False, WHOLE_MAP]
         assert padded(estimator) is estimator
     assert padded(network) == PaddedNetwork(network)
+
+
+def test_several_networks_are_their_mean(tmp_path):
+    small = Architecture(widths=(4, 8), patch=2, embedding=0)
+    networks = [random_network(small, seed) for seed in range(3)]
+    networks[0] = dataclasses.replace(networks[0], score=dc2g.load_network().score)
+    places = [str(save_network(tmp_path / str(seed), network)) for seed, network in enumerate(networks)]
+    ensemble = dc2g.load_network(",".join(places))
+    terrain = jnp.asarray(some_beliefs(5)[0])
+    costs = [network.estimate(terrain, ()) for network in networks]
+    np.testing.assert_allclose(ensemble.estimate(terrain, ()), np.mean(costs, axis=0), rtol=1e-5)
+    for name in ("in_cells", "needs_classes", "side"):
+        assert trait(ensemble, name) == trait(networks[0], name)
+    assert trait(ensemble, "score") == networks[0].score
+    assert isinstance(planner_with("dc2g", complete_rules(4), ensemble), LearnedScore)
+
+
+def test_networks_that_are_not_alike_have_no_mean(tmp_path):
+    other = str(save_network(tmp_path / "other", random_network(Architecture(widths=(4, 8)))))
+    shipped = str(resource(SHIPPED_NETWORK))
+    refusal(lambda: dc2g.load_network(f"{shipped},{other}"), other, "architecture", shipped, "alike")
+    refusal(lambda: dc2g.load_network(f"{shipped},"), "give")

@@ -34,8 +34,8 @@ class NetworkOptions(CommandOptions):
     """A network for the planners that use one.
 
     Attributes:
-      network: folder of a trained network, or hf://owner/name; package.module:Name for an estimator of your own; the
-        shipped network by default.
+      network: folder of a trained network, or hf://owner/name; several with commas between them for the mean of their
+        predictions; package.module:Name for an estimator of your own; the shipped network by default.
     """
 
     network: NetworkOption = None

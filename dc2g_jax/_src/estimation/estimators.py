@@ -246,6 +246,44 @@ class NetworkCostToGo(Estimator):
 
 
 @struct.dataclass
+class Ensemble(Estimator):
+    """The mean of networks that differ in their weights alone, outcome by outcome.
+
+    Deep ensembles (Lakshminarayanan, Pritzel and Blundell, NeurIPS 2017). The mean keeps quantiles in order.
+
+    Attributes:
+      members: the networks, of one class and architecture. The traits of the first one are those of all.
+    """
+
+    members: tuple[Any, ...]
+
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
+        """The mean of the members' costs."""
+        costs = [member.estimate(terrain, state) for member in self.members]
+        return functools.reduce(jnp.add, costs) / len(costs)
+
+    @property
+    def in_cells(self) -> bool:  # type: ignore[override]
+        """See `Estimator`."""
+        return trait(self.members[0], "in_cells")
+
+    @property
+    def needs_classes(self) -> bool:  # type: ignore[override]
+        """See `Estimator`."""
+        return trait(self.members[0], "needs_classes")
+
+    @property
+    def side(self) -> int | None:  # type: ignore[override]
+        """See `Estimator`."""
+        return trait(self.members[0], "side")
+
+    @property
+    def score(self) -> Any:  # type: ignore[override]
+        """See `Estimator`."""
+        return trait(self.members[0], "score")
+
+
+@struct.dataclass
 class ExactCostToGo(Estimator):
     """The exact cost-to-go of the hidden map: a perfect, privileged estimator.
 

@@ -1,12 +1,13 @@
 """Load and save trained networks: in a folder, or at `hf://owner/name` on the Hugging Face Hub."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
 
 from dc2g_jax._src.estimation.checkpoints import CARD, WEIGHTS, code_in_card, network_in_folder, reason
-from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.estimators import Ensemble, Estimator
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.runtime.errors import InputError, require_extra, short
 from dc2g_jax._src.runtime.own_parts import is_own_part, own_part
@@ -61,15 +62,18 @@ def load_network(place: Estimator | str | os.PathLike[str] | None = None) -> Est
     """Load a planner's network of any kind, or an estimator of the user's own.
 
     Args:
-      place: see `local_folder`; `package.module:Name` for an estimator, or a class or function that is called without
-        arguments to make one; `None` for the shipped network. An estimator is returned as it is.
+      place: see `local_folder`; several places with commas between them for the mean of their networks;
+        `package.module:Name` for an estimator, or a class or function that is called without arguments to make one;
+        `None` for the shipped network. An estimator is returned as it is.
 
     Raises:
-      InputError: there is no estimator of that name; see also `local_folder` and
+      InputError: there is no estimator of that name, or several networks are not alike; see also `local_folder` and
         `estimation.checkpoints.network_in_folder`, which checks the SHA-256 of the weights.
     """
     if place is not None and not isinstance(place, str | os.PathLike):
         return place
+    if "," in str(place):
+        return _ensemble(str(place).split(","))
     if not is_own_part(place):
         return network_in_folder(None if place is None else local_folder(place))
     found = own_part("estimator", str(place), ())
@@ -83,6 +87,14 @@ def load_network(place: Estimator | str | os.PathLike[str] | None = None) -> Est
             "flax.struct.dataclass"
         )
     return estimator
+
+
+def _ensemble(places: Sequence[str]) -> Ensemble:
+    members = tuple(network_in_folder(local_folder(place)) for place in places)
+    for place, member in zip(places, members, strict=True):
+        if (type(member), member.architecture) != (type(members[0]), members[0].architecture):
+            raise InputError(f"{place}: differs in its architecture from {places[0]}; give networks that are alike")
+    return Ensemble(members)
 
 
 def push(folder: str | os.PathLike[str], place: str) -> str:
