@@ -1,6 +1,6 @@
 """Summaries of episodes by group of houses."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from dc2g_jax._src.rollouts.results import EpisodeResult, Results
 
@@ -8,16 +8,15 @@ from dc2g_jax._src.rollouts.results import EpisodeResult, Results
 Table = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
-def tabulate(results: Iterable[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str]) -> Table:
+def tabulate(results: Sequence[EpisodeResult], groups: Sequence[str], group_by_house: Mapping[str, str]) -> Table:
     """Summary by planner and group of houses; the last of the groups holds all episodes.
 
     Episodes from whose start no goal can be reached are left out.
     """
-    members: dict[str, list[EpisodeResult]] = {group: [] for group in groups}
-    for one in results:
-        for group in {group_by_house.get(one.house, groups[-1]), groups[-1]}:
-            members[group].append(one)
-    by_group = {group: Results(own).summary() for group, own in members.items()}
+    by_group = {
+        group: Results(one for one in results if group in (group_by_house.get(one.house), groups[-1])).summary()
+        for group in groups
+    }
     return {
         planner: {group: summaries[planner] for group, summaries in by_group.items() if planner in summaries}
         for planner in by_group[groups[-1]]

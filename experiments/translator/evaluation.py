@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.estimators import Ensemble, Estimator
 from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.runtime.programs import jit
 from experiments.translator.images import cost_to_go_image, largest_cost
 from experiments.translator.metrics import Comparison, compare_images
@@ -36,6 +37,8 @@ def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, 
 
     The translator reads images of its own size, all other estimators the robots' grid.
     """
+    if isinstance(estimator, Ensemble) and isinstance(estimator.members[0], TranslatorCostToGo):
+        raise InputError("pictures are those of one translator, not of a mean; give one network")
     if isinstance(estimator, TranslatorCostToGo):
         return labeled_map(image, estimator.architecture.size)
     return labeled_grid(image, GRID_CELLS)

@@ -156,15 +156,27 @@ def test_several_networks_are_their_mean(tmp_path):
     ensemble = dc2g.load_network(",".join(places))
     terrain = jnp.asarray(some_beliefs(5)[0])
     costs = [network.estimate(terrain, ()) for network in networks]
-    np.testing.assert_allclose(ensemble.estimate(terrain, ()), np.mean(costs, axis=0), rtol=1e-5)
-    for name in ("in_cells", "needs_classes", "side"):
+    state = ensemble.init(World.from_terrain(terrain))
+    np.testing.assert_allclose(ensemble.estimate(terrain, state), np.mean(costs, axis=0), rtol=1e-5)
+    for name in ("in_cells", "knows_outside", "extent", "needs_classes", "side"):
         assert trait(ensemble, name) == trait(networks[0], name)
     assert trait(ensemble, "score") == networks[0].score
     assert isinstance(planner_with("dc2g", complete_rules(4), ensemble), LearnedScore)
+    in_grid = padded(ensemble)
+    assert in_grid.knows_outside
+    costs = [padded(network).estimate(terrain, ()) for network in networks]
+    np.testing.assert_allclose(in_grid.estimate(terrain, state), np.mean(costs, axis=0), rtol=1e-5)
 
 
 def test_networks_that_are_not_alike_have_no_mean(tmp_path):
     other = str(save_network(tmp_path / "other", random_network(Architecture(widths=(4, 8)))))
     shipped = str(resource(SHIPPED_NETWORK))
     refusal(lambda: dc2g.load_network(f"{shipped},{other}"), other, "architecture", shipped, "alike")
-    refusal(lambda: dc2g.load_network(f"{shipped},"), "give")
+    for place in (f"{shipped},", f"{shipped}, {shipped}", f"{shipped},clues:Clues"):
+        refusal(lambda place=place: dc2g.load_network(place), place, "each once")
+
+
+def test_a_folder_may_have_a_comma_in_its_name(tmp_path):
+    network = random_network(Architecture(widths=(4, 8)))
+    loaded = dc2g.load_network(save_network(tmp_path / "one, two", network))
+    assert loaded.architecture == network.architecture

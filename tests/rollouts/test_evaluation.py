@@ -241,6 +241,8 @@ def test_networks_are_called_by_the_end_of_their_place(monkeypatch):
     monkeypatch.setattr(evaluation, "load_network", lambda place: place)
     assert list(open_networks(["runs/a", "hf://me/b", "my:C"])) == ["a", "b", "my:C"]
     assert list(open_networks(["one/network", "two/network"])) == ["one/network", "two/network"]
+    assert list(open_networks(["r/a/network,r/b/network", "r/b/network"])) == ["network,network", "network"]
+    assert list(open_networks(["r/a/n,r/b/n", "r/a/n,r/c/n"])) == ["a/n,b/n", "a/n,c/n"]
     assert open_networks(["runs/a"]) == open_networks("runs/a") == "runs/a"
 
 

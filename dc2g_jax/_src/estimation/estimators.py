@@ -49,8 +49,8 @@ WHOLE_MAP = Extent()
 class Estimator(Protocol):
     """Estimates the cost-to-go of every cell from a partial map (Algorithm 2, lines 9 and 10).
 
-    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes: evenly spaced quantiles, or the
-    members of an ensemble. A deterministic estimator gives one outcome.
+    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes, such as evenly spaced
+    quantiles. A deterministic estimator gives one outcome.
 
     An estimator that does not derive from this class has the defaults of the attributes, too.
 
@@ -245,42 +245,39 @@ class NetworkCostToGo(Estimator):
         return NetworkCostToGo(self.weights | {"head": head}, self.architecture)
 
 
+def _trait_of_all(name: str) -> Any:
+    return property(lambda ensemble: trait(ensemble.members[0], name), doc="See `Estimator`.")
+
+
 @struct.dataclass
 class Ensemble(Estimator):
     """The mean of networks that differ in their weights alone, outcome by outcome.
 
-    Deep ensembles (Lakshminarayanan, Pritzel and Blundell, NeurIPS 2017). The mean keeps quantiles in order.
+    How much the networks differ does not widen the quantiles.
 
     Attributes:
-      members: the networks, of one class and architecture. The traits of the first one are those of all.
+      members: the networks, of one class and architecture. The first one's score and other traits are used.
     """
 
     members: tuple[Any, ...]
 
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
+    in_cells = _trait_of_all("in_cells")
+    knows_outside = _trait_of_all("knows_outside")
+    extent = _trait_of_all("extent")
+    side = _trait_of_all("side")
+    needs_classes = _trait_of_all("needs_classes")
+    score = _trait_of_all("score")
+
+    def init(self, world: World) -> tuple[Any, ...]:
+        """The states of the members."""
+        return tuple(member.init(world) for member in self.members)
+
+    def estimate(
+        self, terrain: UInt8[Array, "h w *batch"], state: tuple[Any, ...]
+    ) -> Float[Array, "outcomes h w *batch"]:
         """The mean of the members' costs."""
-        costs = [member.estimate(terrain, state) for member in self.members]
+        costs = [member.estimate(terrain, own) for member, own in zip(self.members, state, strict=True)]
         return functools.reduce(jnp.add, costs) / len(costs)
-
-    @property
-    def in_cells(self) -> bool:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.members[0], "in_cells")
-
-    @property
-    def needs_classes(self) -> bool:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.members[0], "needs_classes")
-
-    @property
-    def side(self) -> int | None:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.members[0], "side")
-
-    @property
-    def score(self) -> Any:  # type: ignore[override]
-        """See `Estimator`."""
-        return trait(self.members[0], "score")
 
 
 @struct.dataclass

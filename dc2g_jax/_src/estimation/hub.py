@@ -1,7 +1,6 @@
 """Load and save trained networks: in a folder, or at `hf://owner/name` on the Hugging Face Hub."""
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -72,8 +71,8 @@ def load_network(place: Estimator | str | os.PathLike[str] | None = None) -> Est
     """
     if place is not None and not isinstance(place, str | os.PathLike):
         return place
-    if "," in str(place):
-        return _ensemble(str(place).split(","))
+    if "," in str(place) and not Path(str(place)).exists():
+        return _ensemble(str(place))
     if not is_own_part(place):
         return network_in_folder(None if place is None else local_folder(place))
     found = own_part("estimator", str(place), ())
@@ -89,11 +88,16 @@ def load_network(place: Estimator | str | os.PathLike[str] | None = None) -> Est
     return estimator
 
 
-def _ensemble(places: Sequence[str]) -> Ensemble:
-    members = tuple(network_in_folder(local_folder(place)) for place in places)
-    for place, member in zip(places, members, strict=True):
-        if (type(member), member.architecture) != (type(members[0]), members[0].architecture):
-            raise InputError(f"{place}: differs in its architecture from {places[0]}; give networks that are alike")
+def _ensemble(place: str) -> Ensemble:
+    """The mean of the networks in several places, with commas between them."""
+    places = [one.strip() for one in place.split(",")]
+    if len(set(places)) < len(places) or "" in places or any(map(is_own_part, places)):
+        raise InputError(f"{place}: give folders of networks, or hf://owner/name, each once, with commas between them")
+    members = tuple(network_in_folder(local_folder(one)) for one in places)
+    first = members[0]
+    for one, member in zip(places, members, strict=True):
+        if type(member) is not type(first) or getattr(member, "architecture", 0) != getattr(first, "architecture", 0):
+            raise InputError(f"{one}: differs in its architecture from {places[0]}; give networks that are alike")
     return Ensemble(members)
 
 

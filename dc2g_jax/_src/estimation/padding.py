@@ -12,7 +12,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax._src.estimation.compact_unet import CompactUNet
-from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, trait, zero_without_classes
+from dc2g_jax._src.estimation.estimators import Ensemble, Estimator, NetworkCostToGo, trait, zero_without_classes
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.grid.sampling import nearest_pixel
 from dc2g_jax._src.grid.terrain import OUTSIDE
@@ -45,7 +45,9 @@ class PaddedNetwork(Estimator):
 
 
 def padded(estimator: Estimator) -> Estimator:
-    """The estimator for maps in a larger grid, if it is a network that has one; else itself."""
+    """The estimator for maps in a larger grid, if it is a network or a mean of networks that has one; else itself."""
+    if isinstance(estimator, Ensemble):
+        return Ensemble(tuple(map(padded, estimator.members)))
     return PaddedNetwork(cast(NetworkCostToGo, estimator)) if trait(estimator, "is_compact") else estimator
 
 

@@ -273,12 +273,16 @@ def open_networks(
 
 
 def _labels(places: Sequence[str | os.PathLike[str]]) -> dict[str, str | os.PathLike[str]]:
-    """Places by their last parts, as many of them as tell all places apart."""
-    parts = [Path(place).parts for place in places]
-    if len(set(parts)) < len(parts):
+    """Places by their last parts, as many of them as tell all places apart; for means, by those of each network."""
+    members = [tuple(Path(one).parts for one in str(place).split(",")) for place in places]
+    if len(set(members)) < len(members):
         raise InputError(f"networks {short(list(map(str, places)))}: give each once")
-    count = next(count for count in itertools.count(1) if len({part[-count:] for part in parts}) == len(parts))
-    return {"/".join(part[-count:]): place for part, place in zip(parts, places, strict=True)}
+
+    def labels(count: int) -> list[str]:
+        return [",".join("/".join(parts[-count:]) for parts in own) for own in members]
+
+    count = next(count for count in itertools.count(1) if len({*labels(count)}) == len(places))
+    return dict(zip(labels(count), places, strict=True))
 
 
 def evaluate(

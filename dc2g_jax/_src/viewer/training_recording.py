@@ -72,7 +72,7 @@ def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> 
     return jnp.mean(compact_unet.apply(network.architecture, network.weights, terrain), axis=-1)
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1)
 def maps_to_watch(dataset: HouseDataset) -> Pair:
     """Partial maps of the dataset's validation houses by exploring robots, the same in every run.
 

@@ -12,8 +12,9 @@ import tyro
 from dc2g_jax._src.cli.common import NetworkOption, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, OptionalInt, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.estimation.hub import load_network
+from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
 from dc2g_jax._src.runtime.errors import InputError
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
@@ -145,7 +146,7 @@ def _train_network(options: Options, dataset: HouseDataset, card: dict[str, Any]
     def begin() -> None:
         if shown:
             check_houses(dataset, extra=0, drawn=False, validated=True)
-        network = None if options.after is None else load_network(options.after)
+        network = None if options.after is None else network_in_folder(local_folder(options.after))
         free = {"validate_every", "episodes_every", "minutes_per_checkpoint", "record", "connect", "split"}
         output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
         if shown:
