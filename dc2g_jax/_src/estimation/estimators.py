@@ -245,7 +245,8 @@ class NetworkCostToGo(Estimator):
         return NetworkCostToGo(self.weights | {"head": head}, self.architecture)
 
 
-def _trait_of_all(name: str) -> Any:
+def _trait_of_first(name: str) -> Any:
+    """A trait of an ensemble: that of its first member."""
     return property(lambda ensemble: trait(ensemble.members[0], name), doc="See `Estimator`.")
 
 
@@ -261,12 +262,12 @@ class Ensemble(Estimator):
 
     members: tuple[Any, ...]
 
-    in_cells = _trait_of_all("in_cells")
-    knows_outside = _trait_of_all("knows_outside")
-    extent = _trait_of_all("extent")
-    side = _trait_of_all("side")
-    needs_classes = _trait_of_all("needs_classes")
-    score = _trait_of_all("score")
+    in_cells = _trait_of_first("in_cells")
+    knows_outside = _trait_of_first("knows_outside")
+    extent = _trait_of_first("extent")
+    side = _trait_of_first("side")
+    needs_classes = _trait_of_first("needs_classes")
+    score = _trait_of_first("score")
 
     def init(self, world: World) -> tuple[Any, ...]:
         """The states of the members."""
