@@ -1,7 +1,7 @@
 /* Exploration episodes the plain way: queues and loops, one robot after another, one thread.
  *
- * The rules `reference` of dc2g_jax, action for action. Grids are bytes, row by row, y growing downward; sets of poses are
- * four grids, one a heading: 0 = +x, 1 = +y, 2 = -x, 3 = -y. Actions are 0 forward, 1 left (heading - 1), 2 right
+ * The rules `reference` of dc2g_jax, action for action. Grids are bytes, row by row, y growing downward; sets of poses
+ * are four grids, one a heading: 0 = +x, 1 = +y, 2 = -x, 3 = -y. Actions are 0 forward, 1 left (heading - 1), 2 right
  * (heading + 1). Everything is planned afresh at every step.
  */
 

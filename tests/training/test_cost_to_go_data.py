@@ -60,6 +60,7 @@ def test_houses_that_drawn_ones_cannot_stand_beside_are_refused(street):
     refusal(lambda: training_houses(HouseDataset("mine", "folder", (own,)), config), "e00001", "rename")
     oblong = House("long", "train", street)
     mine = HouseDataset("mine", "folder", (oblong,))
+    refusal(lambda: training_houses(mine, config), "long", "square", "--extra-houses 0")
     refusal(lambda: check_houses(mine, extra=2, drawn=False, validated=False), "long", "square", "--extra-houses 0")
     assert training_houses(mine, DataConfig(extra_houses=0)) == ([oblong], 1)
 

@@ -134,7 +134,7 @@ def test_what_makes_no_sense_is_refused(tmp_path):
     invalid += [({"sides": ()}, "sides is empty"), ({"seed": 2**31}, "--seed 2147483648")]
     invalid += [({"field_of_view": 400}, "--field-of-view 400")]
     for options, said in invalid:
-        refusal(lambda: ScoreConfig(**options), said, "give")  # noqa: B023
+        refusal(lambda: train(tmp_path / "out", "procedural", config=ScoreConfig(**options)), said, "give")  # noqa: B023
     refusal(lambda: train(tmp_path / "out", tmp_path / "none", config=SMALL), "none", "give")
     assert not (tmp_path / "out").exists()
     network = random_network(Architecture(widths=(4, 8)))

@@ -148,6 +148,17 @@ def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> 
     return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
 
 
+def _require_squares(own: list[House], drawn: int) -> None:
+    """Check that procedural houses, if there are any, can be combined with a dataset's."""
+    height, width = own[0].terrain.shape
+    if drawn and height != width:
+        raise InputError(
+            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
+            "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) or "
+            "--no-episodes (sweeps)"
+        )
+
+
 def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: bool) -> None:
     """Check quickly, before anything is written, that a dataset can be trained on.
 
@@ -160,23 +171,18 @@ def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: b
     Raises:
       InputError: no episode can be run in the houses of a split, or procedural houses cannot be combined with them.
     """
-    for split, beside in (("train", extra > 0), *([("val", drawn)] if validated else [])):
-        house = usable_houses(dataset, split)[0]
-        height, width = house.terrain.shape
-        if beside and height != width:
-            raise InputError(
-                f"{house.name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
-                "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) "
-                "or --no-episodes (sweeps)"
-            )
+    _require_squares(usable_houses(dataset, "train"), extra)
+    if validated:
+        _require_squares(usable_houses(dataset, "val"), int(drawn))
 
 
 def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
-    """Houses of a dataset, which have to be square, followed by procedural ones of the same size.
+    """Houses of a dataset, followed by procedural ones on a grid of the same size.
 
     Raises:
-      InputError: a house of the dataset has the name of a procedural house.
+      InputError: a house of the dataset is not square or has the name of a procedural house.
     """
+    _require_squares(own, count)
     drawn = drawn_houses(prefix, own[0].split, count, seed, len(own[0].terrain))
     taken = {house.name for house in drawn}
     for house in own:
@@ -389,8 +395,8 @@ def episodes_to_validate(
       8-cell sensing (`paper`). `mean_extra`, the mean of the four means, is the figure for model selection.
 
     Raises:
-      InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or a house
-        has the name of a procedural house.
+      InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or procedural
+        houses cannot be combined with the dataset's.
     """
     own = usable_houses(dataset, "val")
     houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", 64, _VALIDATION_SEED)))
